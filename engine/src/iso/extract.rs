@@ -1,0 +1,100 @@
+//! Entry point of extraction: options, statistics.
+
+use crate::budget::Budget;
+use crate::error::{Error, ErrorKind, Result};
+use crate::field::Field;
+use crate::lattice::Box3;
+use crate::mesh::MeshSink;
+use crate::sample::Inside;
+
+/// What happens where the surface leaves the meshed region.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Boundary {
+    /// The solid is closed by a cap along the outermost samples: the mesh is always closed.
+    #[default]
+    Cap,
+    /// The surface is left open.
+    Cut,
+    /// Capped at the border of the domain, open at the border of the region: pieces of several
+    /// regions join by key into the capped mesh of the whole.
+    Tile,
+}
+
+/// Options of [`extract`].
+#[derive(Clone, Debug)]
+pub struct Extract {
+    /// The isovalue. `value >= iso` is above.
+    pub iso: f32,
+    /// Which side is inside; by kind of the field when `None`.
+    pub inside: Option<Inside>,
+    /// Only the cells whose lowest corner lies in this box; the whole domain when `None`.
+    pub region: Option<Box3>,
+    /// What happens at the border.
+    pub boundary: Boundary,
+    /// Only the surfaces through these cells (by their lowest corner); all when empty.
+    pub seeds: Vec<[i32; 3]>,
+    /// Whether vertices carry unit normals from the gradient of the field.
+    pub normals: bool,
+    /// Whether vertices carry the key of their lattice edge.
+    pub keys: bool,
+    /// Positions in index space instead of world space.
+    pub index_space: bool,
+}
+
+impl Default for Extract {
+    fn default() -> Self {
+        Self {
+            iso: 0.0,
+            inside: None,
+            region: None,
+            boundary: Boundary::Cap,
+            seeds: Vec::new(),
+            normals: false,
+            keys: false,
+            index_space: false,
+        }
+    }
+}
+
+/// What extraction did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Stats {
+    /// Vertices of the mesh.
+    pub vertices: u64,
+    /// Triangles of the mesh.
+    pub triangles: u64,
+    /// Vertices inside cells (the others lie on lattice edges).
+    pub interior_vertices: u64,
+    /// Cells that the surface crosses, as far as they were met.
+    pub active_cells: u64,
+    /// Faces of cells whose corners alternate, as decided.
+    pub ambiguous_faces: u64,
+    /// Blocks whose samples were looked at.
+    pub blocks_visited: u64,
+    /// Blocks decoded from storage while this ran.
+    pub blocks_decoded: u64,
+    /// Most blocks on the front at one time.
+    pub front_blocks_max: u64,
+    /// Samples met that are NaN.
+    pub nan_samples: u64,
+}
+
+/// Meshes the surface `field == iso`. Vertices are in world units; triangles wind
+/// counter-clockwise seen from outside. The result does not depend on the budget.
+///
+/// # Errors
+/// `EmptySurface` when nothing crosses the isovalue (the message gives the range), `BadInput` for a
+/// seed cell that the surface does not cross or a region outside the domain, and what the field
+/// and the sink report.
+///
+/// # Memory
+/// Proportional to the front (blocks met but not finished), never to the volume or the mesh.
+pub fn extract(
+    field: &dyn Field,
+    options: &Extract,
+    budget: &Budget,
+    sink: &mut dyn MeshSink,
+) -> Result<Stats> {
+    let _ = (field, options, budget, sink);
+    Err(Error::new(ErrorKind::Unsupported, "not built yet"))
+}

@@ -1,0 +1,7 @@
+//! Triangle meshes: the mesh in memory, and sinks that take one while it is made.
+
+mod indexed;
+mod sink;
+
+pub use indexed::Mesh;
+pub use sink::{Collect, Count, EdgeKey, Layout, MeshSink, Piece, Totals};
