@@ -1,10 +1,15 @@
 //! Entry point of extraction: options, statistics.
 
+use super::block::Style;
+use super::blocks::Blocks;
+use super::place::Placement;
+use super::sweep::sweep;
+use super::walker::walk;
 use crate::budget::Budget;
 use crate::error::{Error, ErrorKind, Result};
 use crate::field::Field;
-use crate::lattice::Box3;
-use crate::mesh::MeshSink;
+use crate::lattice::{Affine, Box3};
+use crate::mesh::{Layout, MeshSink};
 use crate::sample::Inside;
 
 /// What happens where the surface leaves the meshed region.
@@ -39,6 +44,8 @@ pub struct Extract {
     pub keys: bool,
     /// Positions in index space instead of world space.
     pub index_space: bool,
+    /// Whether an empty mesh is a result rather than an error.
+    pub allow_empty: bool,
 }
 
 impl Default for Extract {
@@ -52,6 +59,7 @@ impl Default for Extract {
             normals: false,
             keys: false,
             index_space: false,
+            allow_empty: false,
         }
     }
 }
@@ -73,10 +81,8 @@ pub struct Stats {
     pub blocks_visited: u64,
     /// Blocks decoded from storage while this ran.
     pub blocks_decoded: u64,
-    /// Most blocks on the front at one time.
-    pub front_blocks_max: u64,
-    /// Samples met that are NaN.
-    pub nan_samples: u64,
+    /// Most bytes that the front took at one time.
+    pub front_bytes_max: u64,
 }
 
 /// Meshes the surface `field == iso`. Vertices are in world units; triangles wind
@@ -95,6 +101,59 @@ pub fn extract(
     budget: &Budget,
     sink: &mut dyn MeshSink,
 ) -> Result<Stats> {
-    let _ = (field, options, budget, sink);
-    Err(Error::new(ErrorKind::Unsupported, "not built yet"))
+    if options.iso.is_nan() {
+        return Err(Error::bad_input("the isovalue is not a number"));
+    }
+    let grid = field.grid();
+    let inside = options.inside.unwrap_or(field.kind().inside());
+    let map = if options.index_space {
+        Affine::IDENTITY
+    } else {
+        grid.index_to_world
+    };
+    let blocks = Blocks::new(field, options.region, options.boundary)?;
+    let walking = !options.seeds.is_empty();
+    let style = Style {
+        iso: options.iso,
+        inside,
+        placement: Placement::new(map, grid.domain)?,
+        normals: options.normals,
+        // The walker knows its vertices by key.
+        keys: options.keys || walking,
+    };
+    let decoded = field.blocks_decoded();
+    sink.begin(Layout {
+        normals: options.normals,
+        keys: options.keys,
+    })?;
+    let (mut stats, totals) = if walking {
+        walk(field, blocks, style, &options.seeds, budget, sink)?
+    } else {
+        sweep(field, blocks, style, budget, sink)?
+    };
+    if totals.triangles == 0 && !options.allow_empty {
+        return Err(empty(field, options, inside)?);
+    }
+    sink.finish(totals)?;
+    stats.vertices = totals.vertices;
+    stats.triangles = totals.triangles;
+    stats.blocks_decoded = field.blocks_decoded() - decoded;
+    Ok(stats)
+}
+
+fn empty(field: &dyn Field, options: &Extract, inside: Inside) -> Result<Error> {
+    let region = options.region.unwrap_or(field.grid().domain);
+    let range = field.range(region)?;
+    let side = match inside {
+        Inside::Above => "above",
+        Inside::Below => "below",
+    };
+    Ok(Error::new(
+        ErrorKind::EmptySurface,
+        format!(
+            "no surface at isovalue {} (inside is {side}): the values in {region} lie in {} to {}; choose an \
+             isovalue between them, or allow an empty mesh",
+            options.iso, range.min, range.max
+        ),
+    ))
 }

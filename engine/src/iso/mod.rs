@@ -1,6 +1,17 @@
 //! Isosurface extraction: which cells the surface crosses, what triangles it has there, and the
-//! march from cell to cell.
+//! march from block to block.
 
+mod ambiguity;
+mod block;
+mod blocks;
+mod cube;
 mod extract;
+mod numbering;
+mod place;
+mod sweep;
+mod table;
+#[cfg(test)]
+mod tests;
+mod walker;
 
 pub use extract::{Boundary, Extract, Stats, extract};

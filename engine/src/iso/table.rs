@@ -1,0 +1,336 @@
+//! Triangles per case, derived from the numbering of the cube.
+//!
+//! A case is the mask of inside corners and, for each face whose corners alternate, whether its
+//! inside corners are joined across the face. On every face the surface leaves oriented arcs, with
+//! the inside on their right seen from outside the cell; the arcs close to loops; each loop bounds
+//! a disk. The disk is cut into triangles so that no inner edge runs between two vertices of one
+//! face: only then can an edge never be met from the neighbouring cell, and the mesh stays
+//! 2-manifold (with the faces decided alike from both sides). Where no such cut exists the disk
+//! becomes a fan around a vertex inside the cell.
+//!
+//! Arcs and loops: Nielson and Hamann 1991. The rule for inner edges: Montani, Scateni and Scopigno
+//! 1994 discuss what happens without it.
+
+use super::cube::{edge_axis, edge_between, edge_in_face, edge_origin, face_corners};
+use std::sync::LazyLock;
+
+/// Corner of a triangle: an edge of the cell, 0 to 11, or `CENTRE + k`, the vertex inside loop `k`.
+pub(crate) const CENTRE: u8 = 12;
+
+/// What the surface looks like in one case.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Entry {
+    /// Triangles, counter-clockwise seen from the outside of the solid.
+    pub(crate) triangles: Vec<[u8; 3]>,
+    /// The loops that have a vertex inside, by the edges of their vertices.
+    pub(crate) centres: Vec<Vec<u8>>,
+}
+
+/// All cases.
+pub(crate) struct Table {
+    /// Faces whose corners alternate, a bit each, per mask.
+    pub(crate) ambiguous: [u8; 256],
+    /// Most triangles and most inside vertices over the decisions of a mask.
+    pub(crate) most: [(u8, u8); 256],
+    first: [u16; 256],
+    entries: Vec<Entry>,
+}
+
+impl Table {
+    /// The entry of `mask` when the inside corners of the faces in `joined` are joined; only the
+    /// bits of ambiguous faces count.
+    #[inline]
+    pub(crate) fn entry(&self, mask: u8, joined: u8) -> &Entry {
+        let rank = gather_bits(joined, self.ambiguous[mask as usize]);
+        &self.entries[usize::from(self.first[mask as usize]) + usize::from(rank)]
+    }
+}
+
+/// The one table.
+pub(crate) static TABLE: LazyLock<Table> = LazyLock::new(build);
+
+/// Bits of `value` at the places of `places`, packed to the low end.
+fn gather_bits(value: u8, places: u8) -> u8 {
+    let (mut out, mut n) = (0, 0);
+    for bit in (0..6).filter(|bit| places >> bit & 1 == 1) {
+        out |= (value >> bit & 1) << n;
+        n += 1;
+    }
+    out
+}
+
+fn scatter_bits(value: u8, places: u8) -> u8 {
+    let (mut out, mut n) = (0, 0);
+    for bit in (0..6).filter(|bit| places >> bit & 1 == 1) {
+        out |= (value >> n & 1) << bit;
+        n += 1;
+    }
+    out
+}
+
+fn build() -> Table {
+    let mut table = Table {
+        ambiguous: [0; 256],
+        most: [(0, 0); 256],
+        first: [0; 256],
+        entries: Vec::new(),
+    };
+    for mask in 0..=255u8 {
+        let faces = ambiguous_faces(mask);
+        let m = mask as usize;
+        table.ambiguous[m] = faces;
+        table.first[m] = table.entries.len() as u16;
+        for rank in 0..1u8 << faces.count_ones() {
+            let entry = triangulate(&loops(mask, scatter_bits(rank, faces)));
+            table.most[m].0 = table.most[m].0.max(entry.triangles.len() as u8);
+            table.most[m].1 = table.most[m].1.max(entry.centres.len() as u8);
+            table.entries.push(entry);
+        }
+    }
+    table
+}
+
+/// Faces of `mask` whose corners alternate.
+pub(crate) fn ambiguous_faces(mask: u8) -> u8 {
+    (0..6)
+        .filter(|&f| {
+            let inside = face_corners(f).map(|c| mask >> c & 1);
+            inside[0] == inside[2] && inside[1] == inside[3] && inside[0] != inside[1]
+        })
+        .fold(0, |faces, f| faces | 1 << f)
+}
+
+/// The loops of a case: cyclic sequences of crossed edges.
+pub(crate) fn loops(mask: u8, joined: u8) -> Vec<Vec<u8>> {
+    let inside = |c: usize| mask >> c & 1 == 1;
+    let mut next = [None; 12];
+    for f in 0..6 {
+        let ring = face_corners(f);
+        let enters = |i: usize| !inside(ring[i % 4]) && inside(ring[(i + 1) % 4]);
+        let leaves = |i: usize| inside(ring[i % 4]) && !inside(ring[(i + 1) % 4]);
+        let edge = |i: usize| edge_between(ring[i % 4], ring[(i + 1) % 4]);
+        for i in (0..4).filter(|&i| enters(i)) {
+            // An arc starts where the ring enters the inside. It ends where the ring leaves it
+            // next, or, with the inside joined across the face, where the ring left it last.
+            let back = (ambiguous_faces(mask) & joined) >> f & 1 == 1;
+            let end = (1..4)
+                .map(|s| if back { i + 4 - s } else { i + s })
+                .find(|&j| leaves(j));
+            next[edge(i)] = Some(edge(end.expect("what is entered is left")));
+        }
+    }
+    let mut out = Vec::new();
+    for start in 0..12 {
+        let mut ring = Vec::new();
+        let mut at = start;
+        while let Some(to) = next[at].take() {
+            ring.push(at as u8);
+            at = to;
+        }
+        if !ring.is_empty() {
+            out.push(ring);
+        }
+    }
+    out
+}
+
+fn triangulate(loops: &[Vec<u8>]) -> Entry {
+    let mut entry = Entry::default();
+    for ring in loops {
+        if let Some(triangles) = cut(ring) {
+            entry.triangles.extend(triangles);
+        } else {
+            let centre = CENTRE + entry.centres.len() as u8;
+            for (i, &a) in ring.iter().enumerate() {
+                entry
+                    .triangles
+                    .push([a, ring[(i + 1) % ring.len()], centre]);
+            }
+            entry.centres.push(ring.clone());
+        }
+    }
+    entry
+}
+
+fn share_face(a: u8, b: u8) -> bool {
+    (0..6).any(|f| edge_in_face(a.into(), f) && edge_in_face(b.into(), f))
+}
+
+/// Squared distance of the middles of two edges, times four.
+fn distance(a: u8, b: u8) -> u32 {
+    let middle = |e: u8| {
+        let mut p = edge_origin(e.into()).map(|v| 2 * v as i32);
+        p[edge_axis(e.into())] = 1;
+        p
+    };
+    let (p, q) = (middle(a), middle(b));
+    (0..3).map(|k| (p[k] - q[k]).pow(2) as u32).sum()
+}
+
+/// Cuts a loop into triangles with the shortest inner edges, none of them inside a face.
+fn cut(ring: &[u8]) -> Option<Vec<[u8; 3]>> {
+    let n = ring.len();
+    // best[i][j]: cost and apex of the polygon i..=j whose side (i, j) is given.
+    let mut best = vec![vec![None; n]; n];
+    for i in 0..n - 1 {
+        best[i][i + 1] = Some((0, i));
+    }
+    for span in 2..n {
+        for i in 0..n - span {
+            let j = i + span;
+            let whole = (i, j) == (0, n - 1);
+            if !whole && share_face(ring[i], ring[j]) {
+                continue;
+            }
+            let side = if whole { 0 } else { distance(ring[i], ring[j]) };
+            best[i][j] = (i + 1..j)
+                .filter_map(|k| {
+                    let (left, _) = best[i][k]?;
+                    let (right, _) = best[k][j]?;
+                    Some((left + right + side, k))
+                })
+                .min();
+        }
+    }
+    best[0][n - 1]?;
+    let mut triangles = Vec::new();
+    let mut stack = vec![(0, n - 1)];
+    while let Some((i, j)) = stack.pop() {
+        if j - i < 2 {
+            continue;
+        }
+        let (_, k) = best[i][j].expect("part of a solution");
+        triangles.push([ring[i], ring[k], ring[j]]);
+        stack.push((k, j));
+        stack.push((i, k));
+    }
+    Some(triangles)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashMap;
+
+    fn all_cases() -> impl Iterator<Item = (u8, u8)> {
+        (0..=255u8).flat_map(|mask| {
+            let faces = ambiguous_faces(mask);
+            (0..1u8 << faces.count_ones()).map(move |rank| (mask, scatter_bits(rank, faces)))
+        })
+    }
+
+    #[test]
+    fn every_case_is_a_set_of_disks_whose_border_is_its_loops() {
+        for (mask, joined) in all_cases() {
+            let entry = TABLE.entry(mask, joined);
+            let rings = loops(mask, joined);
+            let mut sides: HashMap<(u8, u8), i32> = HashMap::new();
+            for t in &entry.triangles {
+                for k in 0..3 {
+                    *sides.entry((t[k], t[(k + 1) % 3])).or_default() += 1;
+                }
+            }
+            for ring in &rings {
+                for (i, &a) in ring.iter().enumerate() {
+                    let side = sides.remove(&(a, ring[(i + 1) % ring.len()]));
+                    assert_eq!(
+                        side,
+                        Some(1),
+                        "case {mask:08b} {joined:06b}: border {ring:?}"
+                    );
+                }
+            }
+            for (&(a, b), &n) in &sides {
+                assert_eq!(
+                    (n, sides.get(&(b, a))),
+                    (1, Some(&1)),
+                    "case {mask:08b} {joined:06b}"
+                );
+                assert!(
+                    a >= CENTRE || b >= CENTRE || !share_face(a, b),
+                    "inner edge in a face"
+                );
+            }
+            let crossed = (0..12).filter(|&e| {
+                let low = edge_origin(e);
+                let c = low[0] | low[1] << 1 | low[2] << 2;
+                (mask >> c ^ mask >> (c | 1 << edge_axis(e))) & 1 == 1
+            });
+            let mut met: Vec<u8> = rings.iter().flatten().copied().collect();
+            met.sort_unstable();
+            assert!(crossed.map(|e| e as u8).eq(met), "every crossed edge once");
+        }
+    }
+
+    #[test]
+    fn worked_cases_have_the_known_number_of_triangles() {
+        assert_eq!(TABLE.entry(0b0000_0001, 0).triangles.len(), 1);
+        assert_eq!(TABLE.entry(0b0000_1111, 0).triangles.len(), 2);
+        assert_eq!(TABLE.entry(0b0000_0111, 0).triangles.len(), 3);
+        assert_eq!(TABLE.entry(0b1111_1110, 0).triangles.len(), 1);
+    }
+
+    #[test]
+    fn a_lone_inside_corner_faces_outwards() {
+        let [a, b, c] = TABLE.entry(1, 0).triangles[0].map(|e| edge_axis(e.into()));
+        assert!([[0, 1, 2], [1, 2, 0], [2, 0, 1]].contains(&[a, b, c]));
+    }
+
+    #[test]
+    fn orbits_of_the_masks() {
+        // Rotations, then with complement, then with mirror images too: 23, 15, 14.
+        let maps = cube_symmetries();
+        for (mirror, complement, want) in [(false, false, 23), (false, true, 15), (true, true, 14)]
+        {
+            let mut seen = std::collections::HashSet::new();
+            for mask in 0..=255u8 {
+                let smallest = maps
+                    .iter()
+                    .filter(|(_, is_mirror)| mirror || !is_mirror)
+                    .map(|(map, _)| (0..8).fold(0u8, |m, c| m | (mask >> c & 1) << map[c]))
+                    .flat_map(|m| [m, if complement { !m } else { m }])
+                    .min();
+                seen.insert(smallest);
+            }
+            assert_eq!(seen.len(), want);
+        }
+    }
+
+    fn cube_symmetries() -> Vec<([usize; 8], bool)> {
+        let mut out = Vec::new();
+        for perm in [
+            [0, 1, 2],
+            [0, 2, 1],
+            [1, 0, 2],
+            [1, 2, 0],
+            [2, 0, 1],
+            [2, 1, 0],
+        ] {
+            for flips in 0..8usize {
+                let map = std::array::from_fn(|c| {
+                    let p = crate::iso::cube::corner(c);
+                    (0..3).fold(0, |m, a| m | (p[perm[a]] ^ (flips >> a & 1)) << a)
+                });
+                let odd = [[0, 2, 1], [1, 0, 2], [2, 1, 0]].contains(&perm);
+                out.push((map, odd ^ (flips.count_ones() % 2 == 1)));
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn few_cases_need_a_vertex_inside() {
+        let with: Vec<_> = all_cases()
+            .filter(|&(m, j)| !TABLE.entry(m, j).centres.is_empty())
+            .collect();
+        for &(mask, joined) in &with {
+            assert_eq!(
+                TABLE.entry(mask, joined).centres.len(),
+                1,
+                "{mask:08b} {joined:06b}"
+            );
+            assert_ne!(TABLE.ambiguous[mask as usize], 0, "{mask:08b}");
+        }
+        assert_eq!((with.len(), all_cases().count()), (116, 656));
+    }
+}
