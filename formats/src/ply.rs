@@ -1,0 +1,133 @@
+//! PLY, binary little endian, written while the mesh is made.
+//!
+//! Vertices are `float x y z`, then `nx ny nz`, then the key as `int edge_x edge_y edge_z` and
+//! `uchar edge_axis`, where present. Faces are `list uchar int vertex_indices`. The bytes of a
+//! signed and an unsigned index are the same below 2^31, so the type is decided at the end: `int`,
+//! which every reader knows, up to 2^31 vertices, `uint` up to 2^32, which is the limit.
+//!
+//! The header has the size it would have with the largest counts; a comment fills the difference.
+
+use crate::mesh_stream::{Encode, Shape};
+use brickmarch::Result;
+use brickmarch::mesh::{Layout, Piece, Totals};
+use std::ops::Range;
+
+/// Most vertices whose numbers fit a signed index.
+const SIGNED_VERTICES: u64 = 1 << 31;
+
+/// Bytes of a face: the count and three indices.
+const FACE_BYTES: usize = 1 + 3 * 4;
+
+/// Encoder of PLY.
+#[derive(Debug, Default)]
+pub(crate) struct Ply {
+    layout: Layout,
+}
+
+fn header_text(layout: Layout, totals: Totals, padding: usize) -> String {
+    let mut text = format!(
+        "ply\nformat binary_little_endian 1.0\ncomment brickmarch{:padding$}\nelement vertex {}\n",
+        "", totals.vertices
+    );
+    let mut property = |kind: &str, names: &[&str]| {
+        for name in names {
+            text.push_str(&format!("property {kind} {name}\n"));
+        }
+    };
+    property("float", &["x", "y", "z"]);
+    if layout.normals {
+        property("float", &["nx", "ny", "nz"]);
+    }
+    if layout.keys {
+        property("int", &["edge_x", "edge_y", "edge_z"]);
+        property("uchar", &["edge_axis"]);
+    }
+    let index = if totals.vertices <= SIGNED_VERTICES {
+        "int"
+    } else {
+        "uint"
+    };
+    text.push_str(&format!(
+        "element face {}\nproperty list uchar {index} vertex_indices\nend_header\n",
+        totals.triangles
+    ));
+    text
+}
+
+fn header_bytes(layout: Layout) -> usize {
+    let largest = Totals {
+        vertices: u64::MAX,
+        triangles: u64::MAX,
+    };
+    header_text(layout, largest, 0).len().next_multiple_of(16)
+}
+
+fn put_floats(out: &mut [u8], values: [f32; 3]) {
+    out[..4].copy_from_slice(&values[0].to_le_bytes());
+    out[4..8].copy_from_slice(&values[1].to_le_bytes());
+    out[8..12].copy_from_slice(&values[2].to_le_bytes());
+}
+
+impl Encode for Ply {
+    fn capacity(&self) -> Totals {
+        Totals {
+            vertices: 1 << 32,
+            triangles: u64::MAX,
+        }
+    }
+
+    fn begin(&mut self, layout: Layout) -> Result<Shape> {
+        self.layout = layout;
+        Ok(Shape {
+            header: header_bytes(layout) as u64,
+            vertex: 12 + if layout.normals { 12 } else { 0 } + if layout.keys { 13 } else { 0 },
+            triangle: FACE_BYTES,
+        })
+    }
+
+    fn vertices(&self, piece: &Piece, range: Range<usize>, out: &mut [u8]) {
+        let own = &piece.own[range];
+        if !self.layout.normals && !self.layout.keys {
+            for (&local, record) in own.iter().zip(out.chunks_exact_mut(12)) {
+                put_floats(record, piece.positions[local as usize]);
+            }
+            return;
+        }
+        let size = out.len() / own.len().max(1);
+        for (&local, record) in own.iter().zip(out.chunks_exact_mut(size)) {
+            let local = local as usize;
+            put_floats(record, piece.positions[local]);
+            let mut rest = &mut record[12..];
+            if self.layout.normals {
+                put_floats(rest, piece.normals[local]);
+                rest = &mut rest[12..];
+            }
+            if self.layout.keys {
+                let key = &piece.keys[local];
+                for (bytes, value) in rest.chunks_exact_mut(4).zip(key.point) {
+                    bytes.copy_from_slice(&value.to_le_bytes());
+                }
+                rest[12] = key.axis;
+            }
+        }
+    }
+
+    fn triangles(&self, piece: &Piece, range: Range<usize>, out: &mut [u8]) {
+        for (corners, record) in piece.triangles[range]
+            .iter()
+            .zip(out.chunks_exact_mut(FACE_BYTES))
+        {
+            // The stream has checked that every number fits.
+            let [a, b, c] = corners.map(|v| (piece.ids[v as usize] as u32).to_le_bytes());
+            record[0] = 3;
+            record[1..5].copy_from_slice(&a);
+            record[5..9].copy_from_slice(&b);
+            record[9..13].copy_from_slice(&c);
+        }
+    }
+
+    fn header(&self, totals: Totals) -> Vec<u8> {
+        let padding = header_bytes(self.layout) - header_text(self.layout, totals, 0).len();
+        header_text(self.layout, totals, padding).into_bytes()
+    }
+}
