@@ -1,1 +1,8 @@
-//! Behaviour tests; one module per subject.
+//! Behaviour tests; one module per subject, every one against an oracle or a law.
+//!
+//! Tests that need minutes in an unoptimised build are ignored there and say so; `tests/run` runs
+//! the whole package in release mode.
+
+mod architecture;
+mod extraction;
+mod support;
