@@ -1,1 +1,14 @@
-fn main() {}
+//! Timings of the engine. `cargo bench -p brickmarch-benches -- [FILTER]`. Answers are checked
+//! before times are printed.
+
+mod kernel;
+
+fn main() {
+    let filter = std::env::args()
+        .skip(1)
+        .find(|a| !a.starts_with('-'))
+        .unwrap_or_default();
+    if "kernel".contains(&filter) {
+        kernel::run();
+    }
+}

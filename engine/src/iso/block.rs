@@ -9,7 +9,8 @@
 //! with a cap, and nothing else in here knows of borders.
 
 use super::ambiguity::joined_faces;
-use super::cube::{OTHER, corner, edge_axis, edge_origin};
+use super::cube::{OTHER, corner};
+use super::dispatch::Level;
 use super::place::Placement;
 use super::table::{CENTRE, TABLE};
 use crate::mesh::{EdgeKey, Piece};
@@ -42,8 +43,8 @@ pub(super) struct Block {
     crossed: Vec<[u64; 3]>,
     /// Number of the first vertex per row and axis.
     base: Vec<[u32; 3]>,
-    /// Cells that the surface crosses: place and mask of the corners.
-    active: Vec<([u8; 3], u8)>,
+    /// Rows of cells that the surface crosses: y, z, and a bit per cell.
+    active: Vec<(u8, u8, u64)>,
     /// Vertices on lattice edges.
     pub(super) edge_vertices: usize,
     /// Upper bound of all vertices.
@@ -76,6 +77,8 @@ pub(super) struct Style {
     pub(super) placement: Placement,
     pub(super) normals: bool,
     pub(super) keys: bool,
+    /// Instructions to use.
+    pub(super) level: Level,
 }
 
 impl BlockOutput {
@@ -101,9 +104,30 @@ const fn below(x: u32) -> u64 {
 impl Block {
     /// Finds the crossed edges and active cells. False when there are none.
     pub(super) fn scan(&mut self, samples: &BlockSamples, style: &Style) -> bool {
+        style.level.scan(self, samples, style)
+    }
+
+    /// [`scan`](Self::scan), given what turns a row of samples to a mask.
+    #[inline(always)]
+    pub(super) fn scan_with(
+        &mut self,
+        samples: &BlockSamples,
+        style: &Style,
+        row_mask: impl Fn(&[f32], f32, Inside) -> u64,
+    ) -> bool {
         let [nx, ny, nz] = samples.size;
         assert!(nx < MAX_POINTS, "a row of a block fits in a mask");
-        self.sign_masks(samples, style);
+        self.inside.clear();
+        for z in 0..nz {
+            for y in 0..ny {
+                let start = samples.first + y * samples.step[1] + z * samples.step[2];
+                self.inside.push(row_mask(
+                    &samples.values[start..start + nx],
+                    style.iso,
+                    style.inside,
+                ));
+            }
+        }
         let rows = ny * nz;
         let all = below(nx as u32);
         if self.inside.iter().all(|&m| m == 0) || self.inside.iter().all(|&m| m == all) {
@@ -141,22 +165,7 @@ impl Block {
         self.edge_vertices > 0
     }
 
-    fn sign_masks(&mut self, samples: &BlockSamples, style: &Style) {
-        let [nx, ny, nz] = samples.size;
-        self.inside.clear();
-        for z in 0..nz {
-            for y in 0..ny {
-                let start = samples.first + y * samples.step[1] + z * samples.step[2];
-                let row = &samples.values[start..start + nx];
-                let mask = match style.inside {
-                    Inside::Above => row_mask(row, |v| Inside::Above.contains(v, style.iso)),
-                    Inside::Below => row_mask(row, |v| Inside::Below.contains(v, style.iso)),
-                };
-                self.inside.push(mask);
-            }
-        }
-    }
-
+    #[inline(always)]
     fn find_active_cells(&mut self, size: [usize; 3]) {
         let [nx, ny, nz] = size;
         let table = &*TABLE;
@@ -164,30 +173,36 @@ impl Block {
         let (mut triangles, mut centres) = (0, 0);
         for z in 0..nz - 1 {
             for y in 0..ny - 1 {
-                let r = y + ny * z;
-                let m = [
-                    self.inside[r],
-                    self.inside[r + 1],
-                    self.inside[r + ny],
-                    self.inside[r + ny + 1],
-                ];
+                let m = self.four_rows(y + ny * z, ny);
                 let any = m[0] | m[1] | m[2] | m[3];
                 let every = m[0] & m[1] & m[2] & m[3];
                 let mut cells = (any | any >> 1) & !(every & every >> 1) & below(nx as u32 - 1);
+                if cells == 0 {
+                    continue;
+                }
+                self.active.push((y as u8, z as u8, cells));
                 while cells != 0 {
                     let x = cells.trailing_zeros();
                     cells &= cells - 1;
-                    let pair = |i: usize| ((m[i] >> x & 3) as u8) << (2 * i);
-                    let mask = pair(0) | pair(1) | pair(2) | pair(3);
-                    let (t, c) = table.most[mask as usize];
+                    let (t, c) = table.most[cell_mask(&m, x)];
                     triangles += usize::from(t);
                     centres += usize::from(c);
-                    self.active.push(([x as u8, y as u8, z as u8], mask));
                 }
             }
         }
         self.triangles_max = triangles;
         self.vertices_max = self.edge_vertices + centres;
+    }
+
+    /// Inside masks of the four rows of points around a row of cells.
+    #[inline(always)]
+    fn four_rows(&self, row: usize, ny: usize) -> [u64; 4] {
+        [
+            self.inside[row],
+            self.inside[row + 1],
+            self.inside[row + ny],
+            self.inside[row + ny + 1],
+        ]
     }
 
     /// Local number of the vertex on the edge along `axis` from point (x, y, z).
@@ -206,11 +221,28 @@ impl Block {
         piece: &mut Piece,
         out: &mut BlockOutput,
     ) {
+        style.level.emit(self, samples, style, borrowed, piece, out);
+    }
+
+    /// [`emit`](Self::emit), to be compiled for several processors.
+    #[inline(always)]
+    pub(super) fn emit_all(
+        &self,
+        samples: &BlockSamples,
+        style: &Style,
+        borrowed: [bool; 3],
+        piece: &mut Piece,
+        out: &mut BlockOutput,
+    ) {
         out.first = piece.positions.len() as u32;
         self.emit_vertices(samples, style, borrowed, piece);
         self.emit_triangles(samples, style, piece, out);
         out.count = piece.positions.len() as u32 - out.first;
-        out.active_cells = self.active.len() as u64;
+        out.active_cells = self
+            .active
+            .iter()
+            .map(|row| u64::from(row.2.count_ones()))
+            .sum();
         for axis in 0..3 {
             self.face(samples.size, axis, 0, out.first, &mut out.low[axis]);
             self.face(
@@ -226,6 +258,7 @@ impl Block {
         }
     }
 
+    #[inline(always)]
     fn emit_vertices(
         &self,
         samples: &BlockSamples,
@@ -234,49 +267,70 @@ impl Block {
         piece: &mut Piece,
     ) {
         let ny = samples.size[1];
+        let first = piece.positions.len();
+        let last = first + self.edge_vertices;
+        piece.positions.resize(last, [0.0; 3]);
+        piece
+            .normals
+            .resize(if style.normals { last } else { 0 }, [0.0; 3]);
+        piece.keys.resize(
+            if style.keys { last } else { 0 },
+            EdgeKey {
+                point: [0; 3],
+                axis: 0,
+            },
+        );
+        let mut local = first;
         for (r, rows) in self.crossed.iter().enumerate() {
+            if rows[0] | rows[1] | rows[2] == 0 {
+                continue;
+            }
             let (y, z) = (r % ny, r / ny);
             let start = samples.first + y * samples.step[1] + z * samples.step[2];
+            let [i, j, k] = samples.origin;
+            let point = [i, j + y as i32, k + z as i32];
             for (axis, &row) in rows.iter().enumerate() {
+                let begin = local;
                 let mut edges = row;
                 while edges != 0 {
                     let x = edges.trailing_zeros() as usize;
                     edges &= edges - 1;
-                    let at = [x, y, z];
-                    let point: [i32; 3] = std::array::from_fn(|a| samples.origin[a] + at[a] as i32);
+                    let point = [point[0] + x as i32, point[1], point[2]];
                     let low = start + x;
                     let (a, b) = (
                         samples.values[low],
                         samples.values[low + samples.step[axis]],
                     );
                     let t = style.placement.along(a, b, style.iso);
-                    let local = piece.positions.len() as u32;
-                    if !OTHER[axis].iter().any(|&o| borrowed[o] && at[o] == 0) {
-                        piece.own.push(local);
-                    }
-                    piece
-                        .positions
-                        .push(style.placement.on_edge(point, axis, t));
+                    piece.positions[local] = style.placement.on_edge(point, axis, t);
                     if style.normals {
-                        piece.normals.push(style.placement.edge_normal(
-                            samples,
-                            low,
-                            axis,
-                            t,
-                            style.inside,
-                        ));
+                        piece.normals[local] =
+                            style
+                                .placement
+                                .edge_normal(samples, low, axis, t, style.inside);
                     }
                     if style.keys {
-                        piece.keys.push(EdgeKey {
+                        piece.keys[local] = EdgeKey {
                             point,
                             axis: axis as u8,
-                        });
+                        };
                     }
+                    local += 1;
+                }
+                // Edges in a borrowed face have a number already.
+                let whole_row =
+                    (axis != 1 && borrowed[1] && y == 0) || (axis != 2 && borrowed[2] && z == 0);
+                let first_bit = axis != 0 && borrowed[0] && row & 1 == 1;
+                if !whole_row {
+                    piece
+                        .own
+                        .extend((begin + usize::from(first_bit)) as u32..local as u32);
                 }
             }
         }
     }
 
+    #[inline(always)]
     fn emit_triangles(
         &self,
         samples: &BlockSamples,
@@ -287,43 +341,46 @@ impl Block {
         let table = &*TABLE;
         let ny = samples.size[1];
         let first = out.first;
-        for &([x, y, z], mask) in &self.active {
+        let before = piece.triangles.len();
+        piece.triangles.resize(before + self.triangles_max, [0; 3]);
+        let mut written = before;
+        for &(y, z, mut cells) in &self.active {
             let row = usize::from(y) + ny * usize::from(z);
-            let faces = table.ambiguous[mask as usize];
-            let joined = if faces == 0 {
-                0
-            } else {
-                out.ambiguous_faces += u64::from(faces.count_ones());
-                let values = corner_values(samples, [x, y, z]);
-                joined_faces(&values, faces, style.iso, style.inside)
-            };
-            let entry = table.entry(mask, joined);
-            let x = u32::from(x);
-            let mut ids = [0u32; 16];
-            for (e, id) in ids[..12].iter_mut().enumerate() {
-                let [dx, dy, dz] = edge_origin(e);
-                *id = first + self.vertex(edge_axis(e), x + dx as u32, row + dy + ny * dz);
-            }
-            for (k, ring) in entry.centres.iter().enumerate() {
-                let ring = ring.iter().map(|&e| ids[usize::from(e)]);
-                ids[usize::from(CENTRE) + k] = push_centre(
-                    samples.origin,
-                    [x, y.into(), z.into()],
-                    k,
-                    ring,
-                    style,
-                    piece,
-                );
-                out.interior_vertices += 1;
-            }
-            for t in &entry.triangles {
-                let t = t.map(|v| ids[usize::from(v)]);
-                piece.triangles.push(if style.placement.mirrored {
-                    [t[0], t[2], t[1]]
+            let inside = self.four_rows(row, ny);
+            let numbers = RowNumbers::new(self, row, ny, first);
+            while cells != 0 {
+                let x = cells.trailing_zeros();
+                cells &= cells - 1;
+                let mask = cell_mask(&inside, x);
+                let faces = table.ambiguous[mask];
+                let joined = if faces == 0 {
+                    0
                 } else {
-                    t
-                });
+                    out.ambiguous_faces += u64::from(faces.count_ones());
+                    let values = corner_values(samples, [x as usize, y.into(), z.into()]);
+                    joined_faces(&values, faces, style.iso, style.inside)
+                };
+                let entry = table.entry(mask as u8, joined);
+                let mut ids = numbers.of_cell(x);
+                let ring = entry.centre();
+                if !ring.is_empty() {
+                    let cell = [x as i32, y.into(), z.into()];
+                    let ring = ring.iter().map(|&e| ids[usize::from(e)]);
+                    ids[usize::from(CENTRE)] =
+                        push_centre(samples.origin, cell, ring, style, piece);
+                    out.interior_vertices += 1;
+                }
+                for t in entry.triangles() {
+                    piece.triangles[written] = t.map(|v| ids[usize::from(v & 15)]);
+                    written += 1;
+                }
             }
+        }
+        piece.triangles.truncate(written);
+        if style.placement.mirrored {
+            piece.triangles[before..]
+                .iter_mut()
+                .for_each(|t| t.swap(1, 2));
         }
     }
 
@@ -353,29 +410,70 @@ impl Block {
     }
 }
 
-/// Mask of a row, in runs of eight so that the compiler can keep a run in one register.
+/// Corner mask of cell `x` of a row.
 #[inline(always)]
-fn row_mask(row: &[f32], inside: impl Fn(f32) -> bool) -> u64 {
-    let mut mask = 0;
-    let (runs, rest) = row.as_chunks::<8>();
-    for (i, run) in runs.iter().enumerate() {
-        let mut bits = 0u64;
-        for (k, &v) in run.iter().enumerate() {
-            bits |= u64::from(inside(v)) << k;
-        }
-        mask |= bits << (8 * i);
-    }
-    for (k, &v) in rest.iter().enumerate() {
-        mask |= u64::from(inside(v)) << (8 * runs.len() + k);
-    }
-    mask
+fn cell_mask(rows: &[u64; 4], x: u32) -> usize {
+    let pair = |i: usize| ((rows[i] >> x & 3) as usize) << (2 * i);
+    pair(0) | pair(1) | pair(2) | pair(3)
 }
 
-fn corner_values(samples: &BlockSamples, cell: [u8; 3]) -> [f32; 8] {
+/// What numbers the vertices around a row of cells: crossed edges and first number, of the four
+/// rows of x edges, and of the two rows each of y and z edges.
+struct RowNumbers([(u64, u32); 8]);
+
+impl RowNumbers {
+    #[inline(always)]
+    fn new(block: &Block, row: usize, ny: usize, first: u32) -> Self {
+        let of =
+            |row: usize, axis: usize| (block.crossed[row][axis], first + block.base[row][axis]);
+        Self([
+            of(row, 0),
+            of(row + 1, 0),
+            of(row + ny, 0),
+            of(row + ny + 1, 0),
+            of(row, 1),
+            of(row + ny, 1),
+            of(row, 2),
+            of(row + 1, 2),
+        ])
+    }
+
+    /// Numbers of the twelve edges of cell `x`, by the numbering of the cube; those of edges that
+    /// are not crossed mean nothing.
+    #[inline(always)]
+    fn of_cell(&self, x: u32) -> [u32; 16] {
+        let low = below(x);
+        let rank = self
+            .0
+            .map(|(crossed, base)| base + (crossed & low).count_ones());
+        // The edge at x + 1 follows the one at x where that is crossed.
+        let next = |i: usize| rank[i] + (self.0[i].0 >> x & 1) as u32;
+        [
+            rank[0],
+            rank[1],
+            rank[2],
+            rank[3], // x: rows (y, z), (y+1, z), (y, z+1), (y+1, z+1)
+            rank[4],
+            next(4),
+            rank[5],
+            next(5), // y: (x, z), (x+1, z), (x, z+1), (x+1, z+1)
+            rank[6],
+            next(6),
+            rank[7],
+            next(7), // z: (x, y), (x+1, y), (x, y+1), (x+1, y+1)
+            0,
+            0,
+            0,
+            0,
+        ]
+    }
+}
+
+fn corner_values(samples: &BlockSamples, cell: [usize; 3]) -> [f32; 8] {
     std::array::from_fn(|c| {
         let p = corner(c);
         let at = (0..3)
-            .map(|a| (usize::from(cell[a]) + p[a]) * samples.step[a])
+            .map(|a| (cell[a] + p[a]) * samples.step[a])
             .sum::<usize>();
         samples.values[samples.first + at]
     })
@@ -384,8 +482,7 @@ fn corner_values(samples: &BlockSamples, cell: [u8; 3]) -> [f32; 8] {
 /// A vertex inside a cell, in the middle of its loop.
 fn push_centre(
     origin: [i32; 3],
-    cell: [u32; 3],
-    loop_number: usize,
+    cell: [i32; 3],
     ring: impl Iterator<Item = u32>,
     style: &Style,
     piece: &mut Piece,
@@ -409,11 +506,8 @@ fn push_centre(
             .push(super::place::unit(normal.map(f64::from)).unwrap_or([0.0, 0.0, 1.0]));
     }
     if style.keys {
-        let point = std::array::from_fn(|a| origin[a] + cell[a] as i32);
-        piece.keys.push(EdgeKey {
-            point,
-            axis: 3 + loop_number as u8,
-        });
+        let point = std::array::from_fn(|a| origin[a] + cell[a]);
+        piece.keys.push(EdgeKey { point, axis: 3 });
     }
     local
 }

@@ -2,6 +2,7 @@
 
 use super::block::Style;
 use super::blocks::Blocks;
+use super::dispatch::Level;
 use super::place::Placement;
 use super::sweep::sweep;
 use super::walker::walk;
@@ -120,6 +121,7 @@ pub fn extract(
         normals: options.normals,
         // The walker knows its vertices by key.
         keys: options.keys || walking,
+        level: Level::detect(),
     };
     let decoded = field.blocks_decoded();
     sink.begin(Layout {

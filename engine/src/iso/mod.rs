@@ -5,6 +5,7 @@ mod ambiguity;
 mod block;
 mod blocks;
 mod cube;
+mod dispatch;
 mod extract;
 mod numbering;
 mod place;

@@ -14,16 +14,39 @@
 use super::cube::{edge_axis, edge_between, edge_in_face, edge_origin, face_corners};
 use std::sync::LazyLock;
 
-/// Corner of a triangle: an edge of the cell, 0 to 11, or `CENTRE + k`, the vertex inside loop `k`.
+/// Corner of a triangle beside the edges of the cell, 0 to 11: the vertex inside a loop.
 pub(crate) const CENTRE: u8 = 12;
 
-/// What the surface looks like in one case.
+/// Most triangles of a case: a fan around the longest loop.
+pub(crate) const TRIANGLES_MAX: usize = 12;
+
+/// What the surface looks like in one case. Fixed arrays: the mesher reads one per cell.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Entry {
+    count: u8,
+    triangles: [[u8; 3]; TRIANGLES_MAX],
+    centre_length: u8,
+    centre: [u8; 12],
+}
+
+impl Entry {
     /// Triangles, counter-clockwise seen from the outside of the solid.
-    pub(crate) triangles: Vec<[u8; 3]>,
-    /// The loops that have a vertex inside, by the edges of their vertices.
-    pub(crate) centres: Vec<Vec<u8>>,
+    #[inline(always)]
+    pub(crate) fn triangles(&self) -> &[[u8; 3]] {
+        &self.triangles[..usize::from(self.count).min(TRIANGLES_MAX)]
+    }
+
+    /// The loop that has the vertex [`CENTRE`] inside, by the edges of its vertices; empty where
+    /// there is none. No case has two.
+    #[inline(always)]
+    pub(crate) fn centre(&self) -> &[u8] {
+        &self.centre[..usize::from(self.centre_length).min(12)]
+    }
+
+    fn push(&mut self, triangle: [u8; 3]) {
+        self.triangles[usize::from(self.count)] = triangle;
+        self.count += 1;
+    }
 }
 
 /// All cases.
@@ -82,8 +105,8 @@ fn build() -> Table {
         table.first[m] = table.entries.len() as u16;
         for rank in 0..1u8 << faces.count_ones() {
             let entry = triangulate(&loops(mask, scatter_bits(rank, faces)));
-            table.most[m].0 = table.most[m].0.max(entry.triangles.len() as u8);
-            table.most[m].1 = table.most[m].1.max(entry.centres.len() as u8);
+            table.most[m].0 = table.most[m].0.max(entry.count);
+            table.most[m].1 = table.most[m].1.max(u8::from(entry.centre_length > 0));
             table.entries.push(entry);
         }
     }
@@ -138,15 +161,14 @@ fn triangulate(loops: &[Vec<u8>]) -> Entry {
     let mut entry = Entry::default();
     for ring in loops {
         if let Some(triangles) = cut(ring) {
-            entry.triangles.extend(triangles);
+            triangles.into_iter().for_each(|t| entry.push(t));
         } else {
-            let centre = CENTRE + entry.centres.len() as u8;
+            assert_eq!(entry.centre_length, 0, "one loop with a vertex inside");
             for (i, &a) in ring.iter().enumerate() {
-                entry
-                    .triangles
-                    .push([a, ring[(i + 1) % ring.len()], centre]);
+                entry.push([a, ring[(i + 1) % ring.len()], CENTRE]);
             }
-            entry.centres.push(ring.clone());
+            entry.centre[..ring.len()].copy_from_slice(ring);
+            entry.centre_length = ring.len() as u8;
         }
     }
     entry
@@ -225,7 +247,7 @@ mod tests {
             let entry = TABLE.entry(mask, joined);
             let rings = loops(mask, joined);
             let mut sides: HashMap<(u8, u8), i32> = HashMap::new();
-            for t in &entry.triangles {
+            for t in entry.triangles() {
                 for k in 0..3 {
                     *sides.entry((t[k], t[(k + 1) % 3])).or_default() += 1;
                 }
@@ -264,15 +286,15 @@ mod tests {
 
     #[test]
     fn worked_cases_have_the_known_number_of_triangles() {
-        assert_eq!(TABLE.entry(0b0000_0001, 0).triangles.len(), 1);
-        assert_eq!(TABLE.entry(0b0000_1111, 0).triangles.len(), 2);
-        assert_eq!(TABLE.entry(0b0000_0111, 0).triangles.len(), 3);
-        assert_eq!(TABLE.entry(0b1111_1110, 0).triangles.len(), 1);
+        assert_eq!(TABLE.entry(0b0000_0001, 0).triangles().len(), 1);
+        assert_eq!(TABLE.entry(0b0000_1111, 0).triangles().len(), 2);
+        assert_eq!(TABLE.entry(0b0000_0111, 0).triangles().len(), 3);
+        assert_eq!(TABLE.entry(0b1111_1110, 0).triangles().len(), 1);
     }
 
     #[test]
     fn a_lone_inside_corner_faces_outwards() {
-        let [a, b, c] = TABLE.entry(1, 0).triangles[0].map(|e| edge_axis(e.into()));
+        let [a, b, c] = TABLE.entry(1, 0).triangles()[0].map(|e| edge_axis(e.into()));
         assert!([[0, 1, 2], [1, 2, 0], [2, 0, 1]].contains(&[a, b, c]));
     }
 
@@ -321,14 +343,9 @@ mod tests {
     #[test]
     fn few_cases_need_a_vertex_inside() {
         let with: Vec<_> = all_cases()
-            .filter(|&(m, j)| !TABLE.entry(m, j).centres.is_empty())
+            .filter(|&(m, j)| !TABLE.entry(m, j).centre().is_empty())
             .collect();
         for &(mask, joined) in &with {
-            assert_eq!(
-                TABLE.entry(mask, joined).centres.len(),
-                1,
-                "{mask:08b} {joined:06b}"
-            );
             assert_ne!(TABLE.ambiguous[mask as usize], 0, "{mask:08b}");
         }
         assert_eq!((with.len(), all_cases().count()), (116, 656));

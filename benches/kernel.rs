@@ -1,0 +1,81 @@
+//! Extraction from a dense array in memory, triangles counted and thrown away.
+
+use brickmarch::field::Dense;
+use brickmarch::iso::{Boundary, Extract, extract};
+use brickmarch::mesh::Count;
+use brickmarch::{Box3, Budget, Field, Grid, Range, Result, Samples};
+use std::time::Instant;
+
+/// A dense array that does not scan itself for ranges: every block is looked at.
+struct Unranged(Dense);
+
+impl Field for Unranged {
+    fn grid(&self) -> &Grid {
+        self.0.grid()
+    }
+
+    fn block_edge(&self) -> u32 {
+        self.0.block_edge
+    }
+
+    fn read(&self, region: Box3, out: &mut Samples<'_>) -> Result<()> {
+        self.0.read(region, out)
+    }
+
+    fn range(&self, _region: Box3) -> Result<Range> {
+        Ok(Range::UNKNOWN)
+    }
+}
+
+fn fill(n: i32, edge: u32, value: impl Fn([f32; 3]) -> f32) -> Unranged {
+    let domain = Box3::from_size([n; 3]);
+    let mut values = Vec::with_capacity(domain.count() as usize);
+    for k in 0..n {
+        for j in 0..n {
+            values.extend((0..n).map(|i| value([i as f32, j as f32, k as f32])));
+        }
+    }
+    let mut field = Dense::new(Grid::new(domain), values).expect("right count");
+    field.block_edge = edge;
+    Unranged(field)
+}
+
+pub(crate) fn run() {
+    let n = 256;
+    let middle = n as f32 / 2.0;
+    let k = std::f32::consts::TAU * 8.0 / n as f32;
+    let sphere =
+        |p: [f32; 3]| p.iter().map(|v| (v - middle).powi(2)).sum::<f32>().sqrt() - 0.4 * n as f32;
+    let gyroid = |p: [f32; 3]| {
+        let [x, y, z] = p.map(|v| v * k);
+        x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()
+    };
+    for edge in [16, 32] {
+        report(&format!("sphere {n} edge {edge}"), &fill(n, edge, sphere));
+        report(&format!("gyroid {n} edge {edge}"), &fill(n, edge, gyroid));
+    }
+}
+
+fn report(name: &str, field: &Unranged) {
+    let options = Extract {
+        iso: 0.0,
+        boundary: Boundary::Cut,
+        ..Extract::default()
+    };
+    for threads in [1, 2] {
+        let mut best = f64::INFINITY;
+        let mut triangles = 0;
+        for _ in 0..5 {
+            let mut sink = Count::default();
+            let budget = Budget::mib(256).with_threads(threads);
+            let start = Instant::now();
+            let stats = extract(field, &options, &budget, &mut sink).expect("meshes");
+            best = best.min(start.elapsed().as_secs_f64());
+            triangles = stats.triangles;
+        }
+        println!(
+            "{name}: {threads} threads, {triangles} triangles, {:.1} M/s",
+            triangles as f64 / best / 1e6
+        );
+    }
+}
