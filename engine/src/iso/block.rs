@@ -289,6 +289,7 @@ impl Block {
             let start = samples.first + y * samples.step[1] + z * samples.step[2];
             let [i, j, k] = samples.origin;
             let point = [i, j + y as i32, k + z as i32];
+            let world = style.placement.row(point[1], point[2]);
             for (axis, &row) in rows.iter().enumerate() {
                 let begin = local;
                 let mut edges = row;
@@ -302,7 +303,7 @@ impl Block {
                         samples.values[low + samples.step[axis]],
                     );
                     let t = style.placement.along(a, b, style.iso);
-                    piece.positions[local] = style.placement.on_edge(point, axis, t);
+                    piece.positions[local] = style.placement.on_edge(world, point[0], axis, t);
                     if style.normals {
                         piece.normals[local] =
                             style

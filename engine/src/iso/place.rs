@@ -69,12 +69,21 @@ impl Placement {
         t.clamp(self.min_t, 1.0 - self.min_t)
     }
 
-    /// World position of the point at `t` on the edge from `point` along `axis`.
-    #[inline]
-    pub(super) fn on_edge(&self, point: [i32; 3], axis: usize, t: f32) -> [f32; 3] {
-        let mut p = point.map(f64::from);
-        p[axis] += f64::from(t);
-        self.map.apply(p).map(|v| v as f32)
+    /// World position of the lattice point (0, j, k).
+    #[inline(always)]
+    pub(super) fn row(&self, j: i32, k: i32) -> [f64; 3] {
+        self.map
+            .rows
+            .map(|r| r[1] * f64::from(j) + (r[2] * f64::from(k) + r[3]))
+    }
+
+    /// World position of the point at `t` on the edge along `axis` from point `i` of a row.
+    #[inline(always)]
+    pub(super) fn on_edge(&self, row: [f64; 3], i: i32, axis: usize, t: f32) -> [f32; 3] {
+        let (i, t) = (f64::from(i), f64::from(t));
+        let at =
+            |a: usize| ((self.map.rows[a][0] * i + row[a]) + self.map.rows[a][axis] * t) as f32;
+        [at(0), at(1), at(2)]
     }
 
     /// Unit normal out of the solid at `t` on the edge from sample `low` along `axis`: the gradient

@@ -64,8 +64,11 @@ impl Table {
     /// bits of ambiguous faces count.
     #[inline]
     pub(crate) fn entry(&self, mask: u8, joined: u8) -> &Entry {
-        let rank = gather_bits(joined, self.ambiguous[mask as usize]);
-        &self.entries[usize::from(self.first[mask as usize]) + usize::from(rank)]
+        let first = usize::from(self.first[mask as usize]);
+        match self.ambiguous[mask as usize] {
+            0 => &self.entries[first],
+            faces => &self.entries[first + usize::from(gather_bits(joined, faces))],
+        }
     }
 }
 
