@@ -1,10 +1,27 @@
-//! File formats.
+//! File formats: volumes in ([`open_volume`]) and out, meshes in and out.
 
 mod aside;
+mod input;
+pub mod limits;
 mod mesh_file;
 mod mesh_stream;
+mod metaimage;
+mod nifti;
+mod nifti_header;
+mod npy;
+mod nrrd;
+mod nrrd_geometry;
 mod obj;
 mod ply;
+mod raw;
+mod samples;
 mod stl;
+mod text;
+mod volume;
+
+#[cfg(test)]
+mod testing;
 
 pub use mesh_file::create_mesh_sink;
+pub use raw::RawLayout;
+pub use volume::{FormatRow, OpenOptions, Source, VOLUME_FORMATS, VolumeFormat, open_volume};
