@@ -20,6 +20,8 @@ mod text;
 mod volume;
 
 #[cfg(test)]
+mod shared_data;
+#[cfg(test)]
 mod testing;
 
 pub use mesh_file::create_mesh_sink;

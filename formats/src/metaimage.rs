@@ -298,3 +298,215 @@ impl Header {
         Ok(Some(folder.join(name)))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{family, gzip, open_bytes, samples};
+    use crate::volume::{OpenOptions, open_volume};
+    use brickmarch::{ErrorKind, SampleType};
+    use std::io::Write;
+
+    const HEAD: &str = "ObjectType = Image\nNDims = 3\nDimSize = 2 3 4\nElementType = MET_SHORT\n";
+
+    fn file(more: &str, data: &[u8]) -> Vec<u8> {
+        let mut bytes = format!("{HEAD}{more}ElementDataFile = LOCAL\n").into_bytes();
+        bytes.extend(data);
+        bytes
+    }
+
+    fn little() -> Vec<u8> {
+        (0..24i16).flat_map(|v| (v - 7).to_le_bytes()).collect()
+    }
+
+    fn big() -> Vec<u8> {
+        (0..24i16).flat_map(|v| (v - 7).to_be_bytes()).collect()
+    }
+
+    fn zlib(bytes: &[u8]) -> Vec<u8> {
+        let level = flate2::Compression::fast();
+        let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), level);
+        encoder.write_all(bytes).expect("memory");
+        encoder.finish().expect("memory")
+    }
+
+    fn reads(bytes: &[u8]) -> Source {
+        let mut source = open_bytes("a.mha", bytes).expect("opens");
+        assert_eq!(source.grid.domain.size(), [2, 3, 4]);
+        assert_eq!(source.sample, SampleType::I16);
+        assert_eq!(samples(&mut source).expect("reads"), little());
+        source
+    }
+
+    fn refused(bytes: &[u8]) -> Error {
+        match open_bytes("a.mha", bytes) {
+            Err(error) => error,
+            Ok(mut source) => Error::io(
+                Path::new("a"),
+                "reading",
+                samples(&mut source).expect_err("wrong"),
+            ),
+        }
+    }
+
+    #[test]
+    fn metaimage_encodings() {
+        reads(&file("", &little()));
+        reads(&file("BinaryDataByteOrderMSB = True\n", &big()));
+        reads(&file("ElementByteOrderMSB = true\n", &big()));
+        reads(&file("CompressedData = True\n", &zlib(&little())));
+        reads(&file(
+            "CompressedData = True\nElementByteOrderMSB = True\n",
+            &zlib(&big()),
+        ));
+        reads(&file("CompressedData = True\n", &gzip(&little())));
+        let text: String = (0..24).map(|v| format!("{} ", v - 7)).collect();
+        reads(&file("BinaryData = False\n", text.as_bytes()));
+        let stated = zlib(&little()).len() + 3;
+        let more = format!("CompressedData = True\nCompressedDataSize = {stated}\n");
+        assert_eq!(reads(&file(&more, &zlib(&little()))).notes.len(), 1);
+    }
+
+    #[test]
+    fn metaimage_detached() {
+        let folder = tempfile::tempdir().expect("folder");
+        let at = |name: &str| folder.path().join(name);
+        let write = |more: &str, name: &str| {
+            std::fs::write(at("a.mhd"), format!("{HEAD}{more}ElementDataFile = {name}"))
+                .expect("writes");
+            open_volume(&at("a.mhd"), &OpenOptions::default())
+        };
+        let missing = write("", "a.raw").err().expect("missing").to_string();
+        assert!(
+            missing.contains("ElementDataFile") && missing.contains("a.raw"),
+            "{missing}"
+        );
+        std::fs::write(at("a.raw"), [b"head".as_slice(), &big()].concat()).expect("writes");
+        for size in ["4", "-1"] {
+            let more = format!("HeaderSize = {size}\nElementByteOrderMSB = True\n");
+            let mut source = write(&more, "a.raw").expect("opens");
+            assert_eq!(samples(&mut source).expect("reads"), little());
+        }
+        std::fs::write(at("a.zraw"), zlib(&little())).expect("writes");
+        let mut source = write("CompressedData = True\n", "a.zraw").expect("opens");
+        assert_eq!(samples(&mut source).expect("reads"), little());
+        for several in ["LIST", "LIST 2", "a%02d.raw 1 4 1"] {
+            let error = write("", several).err().expect("several");
+            assert_eq!(error.kind(), ErrorKind::Unsupported, "{error}");
+        }
+        assert!(write("HeaderSize = 999\n", "a.raw").is_err());
+        assert!(write("HeaderSize = -1\nCompressedData = True\n", "a.zraw").is_err());
+        assert!(write("", "").is_err());
+    }
+
+    #[test]
+    fn metaimage_places() {
+        let place = |more: &str| {
+            let source = open_bytes("a.mha", &file(more, &little())).expect("opens");
+            (source.grid.index_to_world, source.grid.units)
+        };
+        let (map, units) = place("ElementSpacing = 0.5 2 3\nOffset = 1 -2 0.1\n");
+        assert_eq!(map, Affine::from_spacing([0.5, 2.0, 3.0], [1.0, -2.0, 0.1]));
+        assert_eq!(units, Units::Millimetre);
+        // Index x runs along world y, y along -x: rows are the axes.
+        let (map, units) = place(
+            "TransformMatrix = 0 1 0 -1 0 0 0 0 -1\nElementSpacing = 2 3 4\nPosition = 5 6 7\nDistanceUnits = um\n",
+        );
+        assert_eq!(map.apply([1.0, 0.0, 0.0]), [5.0, 8.0, 7.0]);
+        assert_eq!(map.apply([0.0, 1.0, 0.0]), [2.0, 6.0, 7.0]);
+        assert_eq!(map.apply([0.0, 0.0, 1.0]), [5.0, 6.0, 3.0]);
+        assert!(map.is_left_handed());
+        assert_eq!(units, Units::Micrometre);
+    }
+
+    #[test]
+    fn metaimage_wrong_headers() {
+        let with = |from: &str, to: &str| {
+            let good = String::from_utf8(file("", b"")).expect("text");
+            assert!(good.contains(from), "{from}");
+            let mut bytes = good.replace(from, to).into_bytes();
+            bytes.extend(little());
+            refused(&bytes)
+        };
+        with("DimSize = 2 3 4", "DimSize = 0 3 4");
+        with("DimSize = 2 3 4", "DimSize = 2 -3 4");
+        with("DimSize = 2 3 4", "DimSize = 2 3 5");
+        with("DimSize = 2 3 4", "DimSize = 2 3");
+        with("DimSize = 2 3 4", "DimSize = 2 3 x");
+        with("DimSize = 2 3 4\n", "");
+        with(
+            "DimSize = 2 3 4",
+            "DimSize = 99999999999 99999999999 99999999999",
+        );
+        with("DimSize = 2 3 4", "DimSize = 100000000 100000000 100000000");
+        with("ElementType = MET_SHORT\n", "");
+        for (to, kind) in [
+            ("ElementType = MET_SHORT_ARRAY", ErrorKind::Unsupported),
+            (
+                "ElementType = MET_SHORT\nElementNumberOfChannels = 3",
+                ErrorKind::Unsupported,
+            ),
+            (
+                "ElementType = MET_SHORT\nElementSpacing = 0 1 1",
+                ErrorKind::BadInput,
+            ),
+            (
+                "ElementType = MET_SHORT\nElementSpacing = 1 1",
+                ErrorKind::BadInput,
+            ),
+            (
+                "ElementType = MET_SHORT\nTransformMatrix = 1 0 0 1",
+                ErrorKind::BadInput,
+            ),
+            (
+                "ElementType = MET_SHORT\nCompressedData = maybe",
+                ErrorKind::BadInput,
+            ),
+            (
+                "ElementType = MET_SHORT\nHeaderSize = -2",
+                ErrorKind::BadInput,
+            ),
+            (
+                "ElementType = MET_SHORT\nDimSize = 2 3 4",
+                ErrorKind::BadInput,
+            ),
+            (
+                "ElementType = MET_SHORT\nno equals sign",
+                ErrorKind::BadInput,
+            ),
+        ] {
+            assert_eq!(with("ElementType = MET_SHORT", to).kind(), kind, "{to}");
+        }
+        assert_eq!(
+            with("NDims = 3\nDimSize = 2 3 4", "NDims = 2\nDimSize = 6 4").kind(),
+            ErrorKind::Unsupported
+        );
+        assert_eq!(with("= Image", "= Tube").kind(), ErrorKind::Unsupported);
+        with("ElementDataFile = LOCAL\n", "");
+        assert!(open_bytes("a.mha", b"PNG").is_err());
+    }
+
+    #[test]
+    fn metaimage_huge_declared_sizes() {
+        let packed = file("CompressedData = True\n", &zlib(&little()));
+        let text = HEAD.replace("2 3 4", "9999 9999 9999");
+        let mut huge = text.into_bytes();
+        huge.extend(&packed[HEAD.len()..]);
+        assert_eq!(refused(&huge).kind(), ErrorKind::Truncated);
+    }
+
+    #[test]
+    fn metaimage_truncations_and_flips() {
+        family("a.mha", &file("ElementByteOrderMSB = True\n", &big()));
+        family("a.mha", &file("CompressedData = True\n", &zlib(&little())));
+    }
+
+    #[test]
+    fn metaimage_extra_bytes_are_noted() {
+        let mut bytes = little();
+        bytes.push(1);
+        assert_eq!(reads(&file("", &bytes)).notes.len(), 1);
+        let source = reads(&file("CompressedData = True\n", &zlib(&bytes)));
+        assert_eq!(source.late_notes().len(), 1);
+    }
+}

@@ -64,12 +64,26 @@ pub(crate) fn family(name: &str, good: &[u8]) {
     }
 }
 
-/// The shared data set, where it is: `BRICKMARCH_DATA`, or `../shared/data` beside the workspace.
+/// The volumes of the shared data set: in `BRICKMARCH_DATA`, or in `../shared/data` beside the
+/// workspace. Says so where there are none.
 pub(crate) fn shared_volumes() -> Option<PathBuf> {
     let workspace = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..");
     let data = std::env::var_os("BRICKMARCH_DATA")
         .map(PathBuf::from)
         .unwrap_or_else(|| workspace.join("../shared/data"));
     let volumes = data.join("volumes");
-    volumes.is_dir().then_some(volumes)
+    if volumes.is_dir() {
+        return Some(volumes);
+    }
+    #[expect(
+        clippy::print_stderr,
+        reason = "a skipped comparison says that it is skipped"
+    )]
+    {
+        eprintln!(
+            "SKIPPED: no real volumes in {} (set BRICKMARCH_DATA)",
+            volumes.display()
+        );
+    }
+    None
 }
