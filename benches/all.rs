@@ -1,6 +1,8 @@
 //! Timings of the engine. `cargo bench -p brickmarch-benches -- [FILTER]`. Answers are checked
 //! before times are printed.
 
+#![allow(clippy::print_stdout, reason = "a benchmark prints")]
+
 mod kernel;
 
 fn main() {

@@ -348,7 +348,7 @@ mod tests {
         let with: Vec<_> = all_cases()
             .filter(|&(m, j)| !TABLE.entry(m, j).centre().is_empty())
             .collect();
-        for &(mask, joined) in &with {
+        for &(mask, _) in &with {
             assert_ne!(TABLE.ambiguous[mask as usize], 0, "{mask:08b}");
         }
         assert_eq!((with.len(), all_cases().count()), (116, 656));
