@@ -1,1 +1,3 @@
 //! The volume store.
+
+pub mod cache;
