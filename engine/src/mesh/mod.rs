@@ -1,9 +1,14 @@
-//! Triangle meshes: the mesh in memory, and sinks that take one while it is made.
+//! Triangle meshes: the mesh in memory, sinks that take one while it is made, and its examination.
 
+mod check;
 mod feed;
 mod indexed;
+pub mod measure;
 mod sink;
+#[cfg(test)]
+mod test_meshes;
 
+pub use check::{Report, check};
 pub use feed::{feed, layout, pieces};
 pub use indexed::Mesh;
 pub use sink::{Collect, Count, EdgeKey, Layout, MeshSink, Piece, Totals};
