@@ -3,6 +3,8 @@
 mod aside;
 mod input;
 pub mod limits;
+mod lines;
+mod loaded;
 mod mesh_file;
 mod mesh_stream;
 mod metaimage;
@@ -12,10 +14,13 @@ mod npy;
 mod nrrd;
 mod nrrd_geometry;
 mod obj;
+mod obj_read;
 mod ply;
+mod ply_read;
 mod raw;
 mod samples;
 mod stl;
+mod stl_read;
 mod text;
 mod volume;
 
@@ -24,6 +29,7 @@ mod shared_data;
 #[cfg(test)]
 mod testing;
 
-pub use mesh_file::create_mesh_sink;
+pub use loaded::Loaded;
+pub use mesh_file::{create_mesh_sink, read_mesh};
 pub use raw::RawLayout;
 pub use volume::{FormatRow, OpenOptions, Source, VOLUME_FORMATS, VolumeFormat, open_volume};
