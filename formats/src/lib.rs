@@ -25,6 +25,8 @@ mod text;
 mod volume;
 
 #[cfg(test)]
+mod mesh_read_tests;
+#[cfg(test)]
 mod shared_data;
 #[cfg(test)]
 mod testing;

@@ -49,6 +49,13 @@ fn read_binary(input: &Input, count: u64) -> Result<Loaded> {
             input.length
         )));
     }
+    if input.length - needed >= TRIANGLE_BYTES {
+        // A wrong count, as a writer leaves it that stopped before it knew.
+        return Err(input.damaged(format_args!(
+            "the header counts {count} triangles; there are {} bytes more",
+            input.length - needed
+        )));
+    }
     let permit = input.take(count * WORK_BYTES)?;
     let mut corners = Vec::new();
     corners.reserve_exact(3 * count as usize);
