@@ -1,0 +1,480 @@
+//! A brick as stored bytes and back. Lossless; the decoded length is given by the caller from the
+//! catalog and never read from the stream.
+//!
+//! Codec numbers (byte 5 of a record): 0 samples as they are; 1 one LZ4 block; from 2 on byte planes
+//! of a [`Filter`]: one u32 per plane with its stored length, then the planes, each as it is (stored
+//! length = plane length) or as an LZ4 block (shorter).
+
+use super::filter::{self, Filter};
+use super::layout::{brick_bytes, get_u32};
+use crate::sample::SampleType;
+use lz4_flex::block::{
+    CompressTable, compress_into_with_table, decompress_into, get_maximum_output_size,
+};
+
+/// Samples as they are.
+pub(crate) const CODEC_RAW: u8 = 0;
+/// One LZ4 block.
+pub(crate) const CODEC_LZ4: u8 = 1;
+const FIRST_FILTER: u8 = 2;
+const FILTERS: [Filter; 4] = [
+    Filter::Planes,
+    Filter::Delta,
+    Filter::Plane3,
+    Filter::Smooth,
+];
+
+/// Inputs below this use the table of 16-bit entries. One kind of table per length, so that the
+/// bytes do not depend on what was compressed before.
+const SMALL_INPUT: usize = u16::MAX as usize;
+
+/// The codecs worth a try for a type, cheapest decoder first.
+fn candidates(sample: SampleType) -> &'static [u8] {
+    match sample {
+        SampleType::Bit => &[CODEC_LZ4],
+        SampleType::U8 | SampleType::I8 => &[CODEC_LZ4, 3, 4],
+        SampleType::U16 | SampleType::I16 => &[CODEC_LZ4, 2, 4],
+        SampleType::U32 | SampleType::I32 => &[CODEC_LZ4, 2, 3, 4],
+        SampleType::F32 => &[CODEC_LZ4, 2, 4, 5],
+    }
+}
+
+/// Bytes that [`Encoder`] holds for bricks of this kind, with its output.
+pub(crate) fn encoder_bytes(sample: SampleType, edge: u32) -> u64 {
+    let n = brick_bytes(sample, edge) as u64;
+    4 * n + (64 << 10)
+}
+
+/// Compresses bricks; holds its working buffers.
+pub(crate) struct Encoder {
+    planes: Vec<u8>,
+    packed: Vec<u8>,
+    trial: Vec<u8>,
+    small: CompressTable,
+    large: CompressTable,
+}
+
+impl Default for Encoder {
+    fn default() -> Self {
+        Self {
+            planes: Vec::new(),
+            packed: Vec::new(),
+            trial: Vec::new(),
+            small: CompressTable::small(),
+            large: CompressTable::large(),
+        }
+    }
+}
+
+impl Encoder {
+    /// Appends the stored form of a brick to `out` and gives its codec. `bytes` is the brick as
+    /// decoded (bits packed); the stored form is never longer.
+    ///
+    /// # Panics
+    /// When `bytes` is not a whole brick.
+    pub(crate) fn encode(
+        &mut self,
+        sample: SampleType,
+        edge: u32,
+        bytes: &[u8],
+        out: &mut Vec<u8>,
+    ) -> u8 {
+        assert_eq!(bytes.len(), brick_bytes(sample, edge), "a whole brick");
+        let codec = self.choose(sample, edge, bytes);
+        let start = out.len();
+        self.encode_as(codec, sample, edge, bytes, out);
+        if out.len() - start < bytes.len() {
+            return codec;
+        }
+        out.truncate(start);
+        out.extend_from_slice(bytes);
+        CODEC_RAW
+    }
+
+    /// Tries the candidates on a few slices in the middle.
+    fn choose(&mut self, sample: SampleType, edge: u32, bytes: &[u8]) -> u8 {
+        let candidates = candidates(sample);
+        if let [only] = candidates {
+            return *only;
+        }
+        let slice = bytes.len() / edge as usize;
+        let first = if edge <= 8 { 0 } else { edge as usize / 2 - 2 };
+        let some = &bytes[first * slice..][..slice * if edge <= 8 { 8 } else { 4 }];
+        let mut trial = std::mem::take(&mut self.trial);
+        // A dearer decoder must save 3 % of the samples' bytes.
+        let margin = some.len() * 3 / 100;
+        let (mut best, mut best_len) = (CODEC_RAW, usize::MAX);
+        for &codec in candidates {
+            trial.clear();
+            self.encode_as(codec, sample, edge, some, &mut trial);
+            if trial.len() < best_len.saturating_sub(margin) {
+                (best, best_len) = (codec, trial.len());
+            }
+        }
+        self.trial = trial;
+        best
+    }
+
+    /// Appends `bytes` (whole slices) in the form of `codec`.
+    pub(crate) fn encode_as(
+        &mut self,
+        codec: u8,
+        sample: SampleType,
+        edge: u32,
+        bytes: &[u8],
+        out: &mut Vec<u8>,
+    ) {
+        match codec {
+            CODEC_RAW => out.extend_from_slice(bytes),
+            CODEC_LZ4 => {
+                let n = self.pack(bytes, None);
+                out.extend_from_slice(&self.packed[..n]);
+            }
+            _ => {
+                let width = sample.bytes();
+                let mut planes = std::mem::take(&mut self.planes);
+                planes.resize(bytes.len(), 0);
+                let filter = FILTERS[usize::from(codec - FIRST_FILTER)];
+                filter::forward(
+                    filter,
+                    width,
+                    sample == SampleType::F32,
+                    edge,
+                    bytes,
+                    &mut planes,
+                );
+                let lengths = out.len();
+                out.resize(lengths + 4 * width, 0);
+                for (b, plane) in planes.chunks(bytes.len() / width).enumerate() {
+                    let n = self.pack(plane, Some(7));
+                    let n = if n * 8 <= plane.len() * 7 {
+                        out.extend_from_slice(&self.packed[..n]);
+                        n
+                    } else {
+                        out.extend_from_slice(plane);
+                        plane.len()
+                    };
+                    out[lengths + 4 * b..][..4].copy_from_slice(&(n as u32).to_le_bytes());
+                }
+                self.planes = planes;
+            }
+        }
+    }
+
+    /// LZ4 of `bytes` into `self.packed`; gives its length. With `eighths`, noise is not tried to
+    /// the end: a length that cannot win is given at once.
+    fn pack(&mut self, bytes: &[u8], eighths: Option<usize>) -> usize {
+        if eighths.is_some() && looks_random(bytes) {
+            return usize::MAX / 8;
+        }
+        let bound = get_maximum_output_size(bytes.len());
+        if self.packed.len() < bound {
+            self.packed.resize(bound, 0);
+        }
+        let table = if bytes.len() < SMALL_INPUT {
+            &mut self.small
+        } else {
+            &mut self.large
+        };
+        compress_into_with_table(bytes, &mut self.packed, table)
+            .expect("the buffer has the size of the bound")
+    }
+}
+
+/// Whether the histogram of some of the bytes is so flat that LZ4 would find no matches.
+fn looks_random(bytes: &[u8]) -> bool {
+    const SOME: usize = 512;
+    if bytes.len() < 2 * SOME {
+        return false;
+    }
+    let mut counts = [0u16; 256];
+    for &byte in &bytes[bytes.len() / 2..][..SOME] {
+        counts[usize::from(byte)] += 1;
+    }
+    // 512 equal chances: the expected sum of squares is about 512 * 3.
+    let squares: u32 = counts.iter().map(|&c| u32::from(c) * u32::from(c)).sum();
+    squares < SOME as u32 * 4
+}
+
+/// Decodes a stored brick into `out`, which has exactly the length of the brick; `scratch` is
+/// working space. Fails on any stream that does not decode to exactly that length.
+///
+/// # Errors
+/// What is wrong with the stream, as a phrase.
+pub(crate) fn decode(
+    codec: u8,
+    stored: &[u8],
+    sample: SampleType,
+    edge: u32,
+    out: &mut [u8],
+    scratch: &mut Vec<u8>,
+) -> Result<(), &'static str> {
+    if stored.len() > out.len() {
+        return Err("stored longer than decoded");
+    }
+    match codec {
+        CODEC_RAW if stored.len() == out.len() => {
+            out.copy_from_slice(stored);
+            Ok(())
+        }
+        CODEC_RAW => Err("stored length differs from the brick's"),
+        CODEC_LZ4 => unpack(stored, out),
+        _ => decode_planes(codec, stored, sample, edge, out, scratch),
+    }
+}
+
+fn unpack(stored: &[u8], out: &mut [u8]) -> Result<(), &'static str> {
+    match decompress_into(stored, out) {
+        Ok(n) if n == out.len() => Ok(()),
+        Ok(_) => Err("an LZ4 block is too short"),
+        Err(_) => Err("an LZ4 block is malformed"),
+    }
+}
+
+fn decode_planes(
+    codec: u8,
+    stored: &[u8],
+    sample: SampleType,
+    edge: u32,
+    out: &mut [u8],
+    scratch: &mut Vec<u8>,
+) -> Result<(), &'static str> {
+    let width = sample.bytes();
+    let filter = *FILTERS
+        .get(usize::from(codec.wrapping_sub(FIRST_FILTER)))
+        .ok_or("unknown codec")?;
+    if sample == SampleType::Bit || (filter == Filter::Smooth && sample != SampleType::F32) {
+        return Err("the codec does not fit the sample type");
+    }
+    let plane_len = out.len() / width;
+    let (lengths, mut rest) = stored
+        .split_at_checked(4 * width)
+        .ok_or("the plane lengths are cut off")?;
+    if scratch.len() < out.len() {
+        scratch.resize(out.len(), 0);
+    }
+    let mut planes: [&[u8]; 4] = [&[]; 4];
+    let mut free = &mut scratch[..out.len()];
+    for (b, plane) in planes[..width].iter_mut().enumerate() {
+        let n = get_u32(lengths, 4 * b) as usize;
+        let (bytes, after) = rest.split_at_checked(n).ok_or("a plane is cut off")?;
+        rest = after;
+        *plane = if n == plane_len {
+            bytes
+        } else {
+            let (place, others) = free.split_at_mut(plane_len);
+            free = others;
+            unpack(bytes, place)?;
+            place
+        };
+    }
+    if !rest.is_empty() {
+        return Err("bytes are left over after the last plane");
+    }
+    filter::inverse(
+        filter,
+        sample == SampleType::F32,
+        edge,
+        &planes[..width],
+        out,
+    );
+    Ok(())
+}
+
+/// Packs samples of one byte, 0 or not 0, to bits; bit `i % 8` of byte `i / 8`.
+pub(crate) fn pack_bits(raw: &[u8], packed: &mut [u8]) {
+    for (byte, eight) in packed.iter_mut().zip(raw.as_chunks::<8>().0) {
+        *byte = (0..8).fold(0, |bits, i| bits | u8::from(eight[i] != 0) << i);
+    }
+}
+
+/// Sample `i` of packed bits as 0 or 1.
+#[inline(always)]
+pub(crate) fn bit_at(packed: &[u8], i: usize) -> u8 {
+    packed[i / 8] >> (i % 8) & 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Deterministic bricks: smooth, noisy, with few values, and with extreme bit patterns.
+    fn bricks(sample: SampleType, edge: u32) -> Vec<Vec<u8>> {
+        let n = (edge * edge * edge) as usize;
+        let mut state = 88_172_645_463_325_252u64;
+        let mut noise = move || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            state
+        };
+        let position = |i: usize| {
+            let e = edge as usize;
+            [i % e, i / e % e, i / e / e].map(|v| v as f64 * 0.05)
+        };
+        let mut all: Vec<Vec<f64>> = vec![
+            (0..n)
+                .map(|i| position(i).iter().map(|v| v.sin() * v.cos()).sum::<f64>() * 100.0)
+                .collect(),
+            (0..n).map(|_| (noise() % 7) as f64).collect(),
+            (0..n).map(|i| f64::from(u8::from(i == n / 2))).collect(),
+            vec![0.0; n],
+        ];
+        all.push((0..n).map(|_| noise() as i32 as f64).collect());
+        let to_bytes = |values: &Vec<f64>| {
+            let mut raw = vec![0; n * sample.bytes()];
+            for (value, bytes) in values.iter().zip(raw.chunks_mut(sample.bytes())) {
+                sample.put(*value, bytes);
+            }
+            raw
+        };
+        let mut raws: Vec<Vec<u8>> = all.iter().map(to_bytes).collect();
+        if sample == SampleType::F32 {
+            let odd = [
+                f32::NAN,
+                f32::INFINITY,
+                f32::NEG_INFINITY,
+                -0.0,
+                1e-42,
+                f32::MAX,
+                f32::MIN,
+            ];
+            raws.push(
+                (0..n)
+                    .flat_map(|_| odd[noise() as usize % odd.len()].to_le_bytes())
+                    .collect(),
+            );
+            raws.push(
+                (0..n)
+                    .flat_map(|_| (noise() as u32).to_le_bytes())
+                    .collect(),
+            );
+        }
+        if sample == SampleType::Bit {
+            for raw in &mut raws {
+                let mut packed = vec![0; n / 8];
+                pack_bits(raw, &mut packed);
+                *raw = packed;
+            }
+        }
+        raws
+    }
+
+    fn codecs(sample: SampleType) -> Vec<u8> {
+        let last = match sample {
+            SampleType::Bit => 1,
+            SampleType::F32 => 5,
+            _ => 4,
+        };
+        (0..=last).collect()
+    }
+
+    #[test]
+    fn codec_round_trip() {
+        let mut encoder = Encoder::default();
+        let (mut scratch, mut stored) = (Vec::new(), Vec::new());
+        for sample in SampleType::ALL {
+            for edge in [8, 16, 32] {
+                for brick in bricks(sample, edge) {
+                    stored.clear();
+                    let codec = encoder.encode(sample, edge, &brick, &mut stored);
+                    assert!(stored.len() <= brick.len());
+                    let mut back = vec![0xaa; brick.len()];
+                    decode(codec, &stored, sample, edge, &mut back, &mut scratch).expect("decodes");
+                    assert!(back == brick, "{sample:?} {edge} codec {codec}");
+                    for codec in codecs(sample) {
+                        stored.clear();
+                        encoder.encode_as(codec, sample, edge, &brick, &mut stored);
+                        back.fill(0xaa);
+                        let result = decode(codec, &stored, sample, edge, &mut back, &mut scratch);
+                        let kept = stored.len() <= brick.len();
+                        assert_eq!(result.is_ok(), kept, "{sample:?} {edge} codec {codec}");
+                        assert!(!kept || back == brick, "{sample:?} {edge} codec {codec}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn codec_bytes_do_not_depend_on_what_came_before() {
+        let brick = &bricks(SampleType::F32, 32)[0];
+        let encode = |encoder: &mut Encoder| {
+            let mut out = Vec::new();
+            (encoder.encode(SampleType::F32, 32, brick, &mut out), out)
+        };
+        let fresh = encode(&mut Encoder::default());
+        let mut used = Encoder::default();
+        for other in bricks(SampleType::U32, 64) {
+            used.encode(SampleType::U32, 64, &other, &mut Vec::new());
+        }
+        assert!(encode(&mut used) == fresh);
+    }
+
+    #[test]
+    fn codec_empty_and_every_truncation_and_extra_bytes() {
+        let mut encoder = Encoder::default();
+        let mut scratch = Vec::new();
+        for sample in [
+            SampleType::Bit,
+            SampleType::U8,
+            SampleType::I16,
+            SampleType::F32,
+        ] {
+            let brick = &bricks(sample, 8)[0];
+            let mut out = vec![0; brick.len()];
+            for codec in codecs(sample) {
+                let mut stored = Vec::new();
+                encoder.encode_as(codec, sample, 8, brick, &mut stored);
+                for end in 0..stored.len() {
+                    let cut = decode(codec, &stored[..end], sample, 8, &mut out, &mut scratch);
+                    assert!(cut.is_err(), "{sample:?} codec {codec} cut to {end}");
+                }
+                stored.push(0);
+                assert!(decode(codec, &stored, sample, 8, &mut out, &mut scratch).is_err());
+            }
+            for codec in 6..=255 {
+                assert!(decode(codec, brick, sample, 8, &mut out, &mut scratch).is_err());
+            }
+        }
+        let mut out = vec![0; brick_bytes(SampleType::I16, 8)];
+        assert!(decode(5, &[0; 16], SampleType::I16, 8, &mut out, &mut scratch).is_err());
+    }
+
+    /// Damage gives an error or some value, never a panic; checksums are the record's business.
+    #[test]
+    fn codec_every_bit_flip_and_huge_declared_size() {
+        let mut encoder = Encoder::default();
+        let mut scratch = Vec::new();
+        for sample in [SampleType::U8, SampleType::F32] {
+            let brick = &bricks(sample, 8)[0];
+            let mut out = vec![0; brick.len()];
+            for codec in codecs(sample) {
+                let mut stored = Vec::new();
+                encoder.encode_as(codec, sample, 8, brick, &mut stored);
+                for bit in 0..stored.len() * 8 {
+                    let mut bad = stored.clone();
+                    bad[bit / 8] ^= 1 << (bit % 8);
+                    let _any = decode(codec, &bad, sample, 8, &mut out, &mut scratch);
+                    assert_eq!(out.len(), brick.len());
+                }
+                if codec >= FIRST_FILTER {
+                    stored[..4].fill(0xff);
+                    assert!(decode(codec, &stored, sample, 8, &mut out, &mut scratch).is_err());
+                }
+            }
+        }
+        assert!(
+            scratch.len() <= 8 * 8 * 8 * 4,
+            "no allocation beyond the brick"
+        );
+    }
+
+    #[test]
+    fn bits_pack_and_unpack() {
+        let raw: Vec<u8> = (0..512u32).map(|i| u8::from(i * i % 5 < 2)).collect();
+        let mut packed = vec![0; 64];
+        pack_bits(&raw, &mut packed);
+        assert!((0..512).all(|i| bit_at(&packed, i) == raw[i]));
+    }
+}

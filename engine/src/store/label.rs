@@ -1,0 +1,122 @@
+//! One label of a volume as a mask.
+
+use super::codec::bit_at;
+use super::value::{bits_of, bits_of_raw, f64_of, key_of};
+use super::volume::{Run, Volume};
+use crate::error::Result;
+use crate::field::{Field, Range, Samples};
+use crate::lattice::{Box3, Grid};
+use crate::sample::{Kind, SampleType};
+
+/// 1 where the samples of a volume equal an id, else 0; see [`Volume::label`].
+pub struct LabelField<'a> {
+    volume: &'a Volume,
+    /// Bits of the id; `None` when the type cannot hold it, so that nothing equals it.
+    bits: Option<u32>,
+}
+
+impl<'a> LabelField<'a> {
+    pub(super) fn new(volume: &'a Volume, id: u32) -> Self {
+        let sample = volume.spec().sample;
+        let bits = bits_of(sample, f64::from(id));
+        let exact = f64_of(sample, bits) == f64::from(id);
+        Self {
+            volume,
+            bits: exact.then_some(bits),
+        }
+    }
+}
+
+impl Field for LabelField<'_> {
+    fn grid(&self) -> &Grid {
+        self.volume.grid()
+    }
+
+    fn kind(&self) -> Kind {
+        Kind::Mask
+    }
+
+    fn block_edge(&self) -> u32 {
+        self.volume.block_edge()
+    }
+
+    fn read(&self, region: Box3, out: &mut Samples<'_>) -> Result<()> {
+        let sample = self.volume.spec().sample;
+        let (row, slice) = (out.row, out.slice);
+        // Equal bits, except that -0 equals 0.
+        let wanted = |bits: u32| -> f32 {
+            let bits = if sample == SampleType::F32 && bits == 0x8000_0000 {
+                0
+            } else {
+                bits
+            };
+            f32::from(u8::from(Some(bits) == self.bits))
+        };
+        self.volume.gather(region, |[i, j, k], n, run| {
+            let values = &mut out.values[i + j * row + k * slice..][..n];
+            match run {
+                Run::Raw(raw) => {
+                    for (value, raw) in values.iter_mut().zip(raw.chunks_exact(sample.bytes())) {
+                        *value = wanted(bits_of_raw(sample, raw));
+                    }
+                }
+                Run::Bits(packed, first) => {
+                    values
+                        .iter_mut()
+                        .enumerate()
+                        .for_each(|(x, v)| *v = wanted(bit_at(packed, first + x).into()));
+                }
+                Run::Constant(bits) => values.fill(wanted(bits)),
+            }
+        })
+    }
+
+    /// Looks at the range of each node, not at their union, so that a label between two others does
+    /// not seem to be where it is not.
+    fn range(&self, region: Box3) -> Result<Range> {
+        let sample = self.volume.spec().sample;
+        let Some(bits) = self.bits else {
+            return Ok(Range::of(0.0));
+        };
+        // -0 sorts below 0.
+        let key = key_of(sample, bits);
+        let low_key = if sample == SampleType::F32 && bits == 0 {
+            key - 1
+        } else {
+            key
+        };
+        let mut union = Range::EMPTY;
+        self.volume.visit_ranges(region, &mut |range, leaf, _| {
+            if union.min < union.max {
+                return false;
+            }
+            if range.is_empty() && !range.has_nan {
+                return false;
+            }
+            let none = range.high < low_key || key < range.low || range.is_empty();
+            let all = !range.has_nan && low_key <= range.low && range.high <= key;
+            match (none, all) {
+                (true, _) => union.add(0.0),
+                (_, true) => union.add(1.0),
+                _ if leaf => {
+                    union = union.union(Range {
+                        min: 0.0,
+                        max: 1.0,
+                        has_nan: false,
+                    })
+                }
+                _ => return true,
+            }
+            false
+        })?;
+        Ok(union)
+    }
+
+    fn forget(&self, region: Box3) {
+        self.volume.forget(region);
+    }
+
+    fn blocks_decoded(&self) -> u64 {
+        self.volume.blocks_decoded()
+    }
+}

@@ -1,0 +1,516 @@
+//! An open volume file: finds bricks through the octree, decodes them into the cache, gathers rows
+//! out of them, and answers ranges without touching a brick.
+
+use super::cache::{self, PageCache};
+use super::catalog::Counts;
+use super::codec::{bit_at, decode};
+use super::label::LabelField;
+use super::layout::{RECORD_HEADER, brick_bytes, record_bytes};
+use super::open::{Contents, Opened};
+use super::page::{FIRST_NODE, NODES, Page, PageRules, Slot, page_origin, slot_of};
+use super::record::{RecordKind, Ref};
+use super::spec::{VolumeInfo, VolumeSpec, page_edge};
+use super::storage::{FileStorage, Storage};
+use super::value::{KeyRange, f32_of};
+use super::writer::{info_of, rules_of};
+use crate::budget::{Budget, Permit};
+use crate::error::{Error, ErrorKind, Result};
+use crate::field::{Field, Range, Samples};
+use crate::lattice::{Box3, Grid, morton_decode, morton_encode};
+use crate::sample::{Kind, SampleType};
+use std::fs::File;
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// An open volume file. Shared by reference between threads; committed bytes never change, so no
+/// reader ever waits for a writer.
+///
+/// # Memory
+/// Decoded bricks take at most 3/8 of the budget, node pages 1/12; each thread that decodes takes a
+/// buffer of about two bricks. All of it is under permit.
+pub struct Volume {
+    file: Opened,
+    spec: VolumeSpec,
+    rules: PageRules,
+    range: KeyRange,
+    counts: Counts,
+    page_levels: u8,
+    root: Option<cache::Ref<Page>>,
+    pages: PageCache<(u8, u64), Page>,
+    bricks: PageCache<u64, Vec<u8>>,
+    buffers: Mutex<Vec<Buffers>>,
+    budget: Budget,
+    decoded: AtomicU64,
+}
+
+/// Working space of one decoding thread.
+struct Buffers {
+    record: Vec<u8>,
+    planes: Vec<u8>,
+    _permit: Permit,
+}
+
+/// A run of samples along `i`, inside one brick.
+pub(super) enum Run<'a> {
+    /// Native little-endian samples.
+    Raw(&'a [u8]),
+    /// Packed bits from the given one.
+    Bits(&'a [u8], usize),
+    /// One value, as bits.
+    Constant(u32),
+}
+
+impl Volume {
+    /// Opens the newest generation of the file at `path`. Reads a few records, whatever the size of
+    /// the file.
+    ///
+    /// # Errors
+    /// `NotAVolume`, `Newer` (naming the feature), `Truncated`, `DamagedRoot`, `Io`.
+    pub fn open(path: &Path, budget: &Budget) -> Result<Self> {
+        let file = File::open(path).map_err(|e| Error::io(path, "opening the volume", e))?;
+        Self::open_in(Arc::new(FileStorage(file)), path, budget)
+    }
+
+    /// Opens the volume in `storage`; `name` is for messages.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_in(storage: Arc<dyn Storage>, name: &Path, budget: &Budget) -> Result<Self> {
+        let file = Opened::open(storage, name)?;
+        let Contents {
+            spec,
+            range,
+            counts,
+            entry,
+        } = file.contents()?;
+        let memory = budget.memory_bytes();
+        let brick = brick_bytes(spec.sample, spec.brick_edge) as u64;
+        let mut volume = Self {
+            rules: rules_of(&spec),
+            file,
+            range,
+            counts,
+            page_levels: entry.root_level,
+            root: None,
+            pages: PageCache::with_entry_bytes(budget, memory / 12, page_charge(4096)),
+            bricks: PageCache::with_entry_bytes(budget, memory / 8 * 3, brick),
+            buffers: Mutex::default(),
+            budget: budget.clone(),
+            decoded: AtomicU64::new(0),
+            spec,
+        };
+        if !entry.root.is_none() {
+            let root = volume.page(entry.root_level, [0; 3], entry.root);
+            // Without its root nothing of the volume can be found.
+            volume.root = Some(root.map_err(|e| match e.kind() {
+                ErrorKind::Damaged => Error::new(ErrorKind::DamagedRoot, e.to_string()),
+                _ => e,
+            })?);
+        }
+        Ok(volume)
+    }
+
+    /// What the volume is.
+    pub fn spec(&self) -> &VolumeSpec {
+        &self.spec
+    }
+
+    /// What is known of the volume without reading it.
+    ///
+    /// # Errors
+    /// None today; reading the length of the file may fail one day.
+    pub fn info(&self) -> Result<VolumeInfo> {
+        let file = &self.file;
+        Ok(info_of(
+            &self.spec,
+            self.range,
+            &self.counts,
+            self.page_levels,
+            &file.root,
+            file.length,
+        ))
+    }
+
+    /// Copies the native samples of `region` to `out`, `i` fastest; a bit takes one byte.
+    ///
+    /// # Errors
+    /// A region that is not inside the domain, an `out` of the wrong length, damage.
+    pub fn read_raw(&self, region: Box3, out: &mut [u8]) -> Result<()> {
+        let width = self.spec.sample.bytes();
+        let count = region.count();
+        if count.checked_mul(width as u64) != Some(out.len() as u64) {
+            return Err(Error::bad_input(format!(
+                "{} bytes for the {count} samples of {region}",
+                out.len()
+            )));
+        }
+        let [nx, ny, _] = region.size().map(|n| n as usize);
+        self.gather(region, |[i, j, k], n, run| {
+            let row = &mut out[(i + nx * (j + ny * k)) * width..][..n * width];
+            match run {
+                Run::Raw(raw) => row.copy_from_slice(raw),
+                Run::Bits(packed, first) => {
+                    row.iter_mut()
+                        .enumerate()
+                        .for_each(|(x, v)| *v = bit_at(packed, first + x));
+                }
+                Run::Constant(bits) => {
+                    let bytes = bits.to_le_bytes();
+                    row.chunks_exact_mut(width)
+                        .for_each(|v| v.copy_from_slice(&bytes[..width]));
+                }
+            }
+        })
+    }
+
+    /// The samples that equal `id` as a mask: 1 where they do, 0 elsewhere. Compared in the type of
+    /// the samples, so that 32-bit ids are exact.
+    pub fn label(&self, id: u32) -> LabelField<'_> {
+        LabelField::new(self, id)
+    }
+
+    /// Calls `put(position in the region, samples, run)` for runs that cover `region`.
+    pub(super) fn gather(
+        &self,
+        region: Box3,
+        mut put: impl FnMut([usize; 3], usize, Run<'_>),
+    ) -> Result<()> {
+        let domain = self.spec.grid.domain;
+        if region.is_empty() {
+            return Ok(());
+        }
+        if !domain.contains_box(&region) {
+            return Err(Error::bad_input(format!(
+                "region {region} is not inside the domain {domain}"
+            )));
+        }
+        let edge = self.spec.brick_edge;
+        let width = self.spec.sample.bytes();
+        let local = |p: [i32; 3]| -> [u32; 3] {
+            std::array::from_fn(|a| p[a].wrapping_sub(domain.min[a]) as u32)
+        };
+        let (low, size) = (local(region.min), region.size());
+        let first = low.map(|v| v / edge);
+        let last: [u32; 3] = std::array::from_fn(|a| (low[a] + size[a] - 1) / edge);
+        let mut cursor = None;
+        for bz in first[2]..=last[2] {
+            for by in first[1]..=last[1] {
+                for bx in first[0]..=last[0] {
+                    let brick = [bx, by, bz];
+                    // The common part of brick and region, in the region and in the brick.
+                    let start: [u32; 3] = std::array::from_fn(|a| (brick[a] * edge).max(low[a]));
+                    let n: [usize; 3] = std::array::from_fn(|a| {
+                        ((brick[a] * edge + edge).min(low[a] + size[a]) - start[a]) as usize
+                    });
+                    let to: [usize; 3] = std::array::from_fn(|a| (start[a] - low[a]) as usize);
+                    let from: [usize; 3] =
+                        std::array::from_fn(|a| (start[a] - brick[a] * edge) as usize);
+                    let slot = self.locate(brick, &mut cursor)?;
+                    let data = match slot {
+                        Slot::Child(reference) => Some(self.brick(brick, reference)?),
+                        _ => None,
+                    };
+                    let constant = match slot {
+                        Slot::Tile(bits) => bits,
+                        _ => self.rules.background,
+                    };
+                    let e = edge as usize;
+                    for k in 0..n[2] {
+                        for j in 0..n[1] {
+                            let at = from[0] + e * (from[1] + j + e * (from[2] + k));
+                            let run = match &data {
+                                None => Run::Constant(constant),
+                                Some(bytes) if self.spec.sample == SampleType::Bit => {
+                                    Run::Bits(bytes, at)
+                                }
+                                Some(bytes) => Run::Raw(&bytes[at * width..][..n[0] * width]),
+                            };
+                            put([to[0], to[1] + j, to[2] + k], n[0], run);
+                        }
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// What the octree says about a brick; `cursor` remembers the last page above bricks.
+    fn locate(&self, brick: [u32; 3], cursor: &mut Option<cache::Ref<Page>>) -> Result<Slot> {
+        if let Some(page) = cursor
+            && page.origin == page_origin(brick, 1)
+        {
+            return Ok(page.slot(slot_of(brick, 1)));
+        }
+        let Some(mut page) = self.root.clone() else {
+            return Ok(Slot::Background);
+        };
+        while page.level > 1 {
+            match page.slot(slot_of(brick, page.level)) {
+                Slot::Child(reference) => {
+                    let level = page.level - 1;
+                    page = self.page(level, page_origin(brick, level), reference)?;
+                }
+                constant => return Ok(constant),
+            }
+        }
+        let slot = page.slot(slot_of(brick, 1));
+        *cursor = Some(page);
+        Ok(slot)
+    }
+
+    fn page(&self, level: u8, origin: [u32; 3], reference: Ref) -> Result<cache::Ref<Page>> {
+        let key = morton_encode(origin);
+        self.pages
+            .get((level, key), page_charge(reference.length), || {
+                let _permit = self
+                    .budget
+                    .take(record_bytes(reference.length), "reading a node page")?;
+                let mut buffer = Vec::new();
+                let place = || format!("of level {level} at brick {origin:?}");
+                let head =
+                    self.file
+                        .read_record(&reference, RecordKind::Page, &place, &mut buffer)?;
+                let payload = &buffer[RECORD_HEADER..][..reference.length as usize];
+                if (head.level, head.key) != (level, key) {
+                    return Err(self.damaged(&place(), "its record has another place"));
+                }
+                Page::decode(&self.rules, level, origin, reference.offset, payload)
+                    .map_err(|e| self.damaged(&format!("node page {}", place()), e))
+            })
+    }
+
+    fn damaged(&self, place: &str, what: impl std::fmt::Display) -> Error {
+        self.file
+            .error(ErrorKind::Damaged, format!("{place}: {what}"))
+    }
+
+    fn brick(&self, brick: [u32; 3], reference: Ref) -> Result<cache::Ref<Vec<u8>>> {
+        let bytes = self.rules.brick_bytes as usize;
+        self.bricks.get(morton_encode(brick), bytes as u64, || {
+            let mut buffers = self.take_buffers()?;
+            let mut out = vec![0; bytes];
+            let result = self.load_brick(brick, reference, &mut buffers, &mut out);
+            self.buffers
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(buffers);
+            result.map(|()| out)
+        })
+    }
+
+    fn take_buffers(&self) -> Result<Buffers> {
+        if let Some(free) = self
+            .buffers
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .pop()
+        {
+            return Ok(free);
+        }
+        let bytes = u64::from(self.rules.brick_bytes);
+        let permit = self.budget.take(
+            record_bytes(self.rules.brick_bytes) + bytes,
+            "decoding a brick",
+        )?;
+        Ok(Buffers {
+            record: Vec::new(),
+            planes: Vec::new(),
+            _permit: permit,
+        })
+    }
+
+    fn load_brick(
+        &self,
+        brick: [u32; 3],
+        reference: Ref,
+        buffers: &mut Buffers,
+        out: &mut [u8],
+    ) -> Result<()> {
+        let place = || format!("{brick:?} (samples {})", self.spec.brick_box(brick));
+        let head =
+            self.file
+                .read_record(&reference, RecordKind::Brick, &place, &mut buffers.record)?;
+        if head.key != morton_encode(brick) || head.level != 0 || head.decoded as usize != out.len()
+        {
+            return Err(self.damaged(
+                &format!("brick {}", place()),
+                "its record has another place or size",
+            ));
+        }
+        let stored = &buffers.record[RECORD_HEADER..][..reference.length as usize];
+        decode(
+            head.codec,
+            stored,
+            self.spec.sample,
+            self.spec.brick_edge,
+            out,
+            &mut buffers.planes,
+        )
+        .map_err(|e| self.damaged(&format!("brick {}", place()), e))?;
+        self.decoded.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Visits octree nodes that meet `region`, coarse to fine: `visit(range, is_leaf, is_inside)`
+    /// says whether to go on to the parts of the node. A node is inside when no brick of it lies
+    /// outside of the bricks that `region` meets.
+    pub(super) fn visit_ranges(
+        &self,
+        region: Box3,
+        visit: &mut impl FnMut(KeyRange, bool, bool) -> bool,
+    ) -> Result<()> {
+        let domain = self.spec.grid.domain;
+        let region = region.intersect(&domain);
+        if region.is_empty() {
+            return Ok(());
+        }
+        let Some(root) = &self.root else {
+            visit(
+                KeyRange::of_bits(self.spec.sample, self.rules.background),
+                true,
+                true,
+            );
+            return Ok(());
+        };
+        let edge = self.spec.brick_edge;
+        let query = Query {
+            low: std::array::from_fn(|a| region.min[a].wrapping_sub(domain.min[a]) as u32 / edge),
+            high: std::array::from_fn(|a| {
+                (region.max[a] - 1).wrapping_sub(domain.min[a]) as u32 / edge
+            }),
+        };
+        self.visit_node(root, 3, 0, [0; 3], &query, visit)
+    }
+
+    /// Depth is bounded by the level of the root, four per page.
+    fn visit_node(
+        &self,
+        page: &Page,
+        depth: u32,
+        index: usize,
+        min: [u32; 3],
+        query: &Query,
+        visit: &mut impl FnMut(KeyRange, bool, bool) -> bool,
+    ) -> Result<()> {
+        let edge = page_edge(page.level - 1) << depth;
+        let mut inside = true;
+        for a in 0..3 {
+            let last = (min[a] + edge).min(self.rules.bricks[a]).wrapping_sub(1);
+            if last < query.low[a] || query.high[a] < min[a] {
+                return Ok(());
+            }
+            inside &= query.low[a] <= min[a] && last <= query.high[a];
+        }
+        let child = match depth {
+            0 if page.level > 1 => match page.slot(index) {
+                Slot::Child(reference) => Some(reference),
+                _ => None,
+            },
+            _ => None,
+        };
+        let leaf = depth == 0 && child.is_none();
+        if !visit(page.range(FIRST_NODE[depth as usize] + index), leaf, inside) || leaf {
+            return Ok(());
+        }
+        if let Some(reference) = child {
+            let below = self.page(page.level - 1, min, reference)?;
+            return self.visit_node(&below, 3, 0, min, query, visit);
+        }
+        for c in 0..8 {
+            let step = morton_decode(c as u64);
+            let at = std::array::from_fn(|a| min[a] + step[a] * (edge / 2));
+            self.visit_node(page, depth - 1, index * 8 + c, at, query, visit)?;
+        }
+        Ok(())
+    }
+}
+
+/// Bricks that a region meets, inclusive.
+struct Query {
+    low: [u32; 3],
+    high: [u32; 3],
+}
+
+/// Bytes in memory of a page whose payload has this length, at most.
+fn page_charge(length: u32) -> u64 {
+    (size_of::<Page>() + NODES * 8) as u64 + u64::from(length)
+}
+
+impl Field for Volume {
+    fn grid(&self) -> &Grid {
+        &self.spec.grid
+    }
+
+    fn kind(&self) -> Kind {
+        self.spec.kind
+    }
+
+    fn block_edge(&self) -> u32 {
+        self.spec.brick_edge.min(32)
+    }
+
+    fn read(&self, region: Box3, out: &mut Samples<'_>) -> Result<()> {
+        let sample = self.spec.sample;
+        let (row, slice) = (out.row, out.slice);
+        self.gather(region, |[i, j, k], n, run| {
+            let values = &mut out.values[i + j * row + k * slice..][..n];
+            match run {
+                Run::Raw(raw) => sample.to_f32(raw, values),
+                Run::Bits(packed, first) => {
+                    values
+                        .iter_mut()
+                        .enumerate()
+                        .for_each(|(x, v)| *v = f32::from(bit_at(packed, first + x)));
+                }
+                Run::Constant(bits) => values.fill(f32_of(sample, bits)),
+            }
+        })
+    }
+
+    fn range(&self, region: Box3) -> Result<Range> {
+        let mut union = KeyRange::empty(self.spec.sample);
+        self.visit_ranges(region, &mut |range, leaf, inside| {
+            if union.covers(&range) {
+                return false;
+            }
+            if leaf || inside {
+                union = union.union(range);
+            }
+            !inside
+        })?;
+        Ok(union.to_range(self.spec.sample))
+    }
+
+    fn forget(&self, region: Box3) {
+        let domain = self.spec.grid.domain;
+        let region = region.intersect(&domain);
+        if region.is_empty() {
+            return;
+        }
+        let edge = self.spec.brick_edge;
+        // Bricks whose part of the domain lies inside the region.
+        let first: [u32; 3] = std::array::from_fn(|a| {
+            (region.min[a].wrapping_sub(domain.min[a]) as u32).div_ceil(edge)
+        });
+        let end: [u32; 3] = std::array::from_fn(|a| {
+            let end = region.max[a].wrapping_sub(domain.min[a]) as u32;
+            if region.max[a] == domain.max[a] {
+                end.div_ceil(edge)
+            } else {
+                end / edge
+            }
+        });
+        for z in first[2]..end[2] {
+            for y in first[1]..end[1] {
+                for x in first[0]..end[0] {
+                    self.bricks.forget(&morton_encode([x, y, z]));
+                }
+            }
+        }
+    }
+
+    fn blocks_decoded(&self) -> u64 {
+        self.decoded.load(Ordering::Relaxed)
+    }
+}
