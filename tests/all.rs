@@ -5,4 +5,5 @@
 
 mod architecture;
 mod extraction;
+mod reference;
 mod support;

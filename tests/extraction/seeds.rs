@@ -2,8 +2,9 @@
 
 use super::compare::assert_same_surface;
 use super::{dense, mesh_of};
-use crate::support::fields::sampled;
+use crate::support::fields::{Content, random, sampled};
 use crate::support::naive::Question;
+use crate::support::rng::Rng;
 use brickmarch::iso::Extract;
 use brickmarch::{Box3, Budget, ErrorKind, Inside};
 
@@ -74,5 +75,36 @@ fn a_seed_beside_the_surface_is_refused() {
             error.to_string().contains(&seed[0].to_string()),
             "{seed:?} is not named: {error}"
         );
+    }
+}
+
+#[test]
+fn seeds_in_noise_give_exactly_what_is_connected() {
+    let mut rng = Rng::new(44);
+    let domain = Box3::new([-4, 0, 9], [20, 19, 30]);
+    for content in Content::ALL {
+        let values = random(content, domain, &mut rng);
+        let question = Question {
+            values: &values,
+            domain,
+            iso: content.iso(),
+            inside: Inside::Above,
+            cap: true,
+        };
+        let whole = question.march();
+        let field = dense(domain, values.clone(), 8);
+        let cells: Vec<[i32; 3]> = whole.loops.keys().copied().collect();
+        let rounds = if cfg!(debug_assertions) { 2 } else { 6 };
+        for seed in (0..rounds).map(|_| rng.pick(&cells)) {
+            let options = Extract {
+                iso: content.iso(),
+                inside: Some(Inside::Above),
+                ..options(vec![seed])
+            };
+            let (mesh, _) =
+                mesh_of(&field, &options, &Budget::mib(64)).expect("the seed is crossed");
+            let what = format!("{content:?} from {seed:?}");
+            assert_same_surface(&mesh, &whole.through(seed), &what);
+        }
     }
 }

@@ -43,7 +43,7 @@ pub(crate) struct Surface {
     /// Loops of each cell, by its lowest corner, in the direction in which the disk is
     /// counter-clockwise seen from outside the solid.
     pub(crate) loops: BTreeMap<[i32; 3], Vec<Vec<Key>>>,
-    /// Faces whose corners alternate, counted once.
+    /// Faces whose corners alternate, counted in every cell that has them.
     pub(crate) ambiguous_faces: u64,
 }
 
@@ -127,11 +127,7 @@ impl Question<'_> {
         for axis in 0..3 {
             for side in 0..2 {
                 let ring = face_ring(cell, axis, side);
-                let alternating = self.face_arcs(ring, &mut next);
-                // Every face is the low face of one cell; the high faces of the last cells are
-                // added, as no cell lies beyond.
-                let counts = side == 0 || cell[axis] + 1 == self.cells().max[axis];
-                surface.ambiguous_faces += u64::from(alternating && counts);
+                surface.ambiguous_faces += u64::from(self.face_arcs(ring, &mut next));
             }
         }
         for &key in next.keys() {
@@ -250,6 +246,30 @@ impl Surface {
             .values()
             .flatten()
             .flat_map(|ring| ring_arcs(ring))
+    }
+
+    /// The part that is connected to the loops of `cell`.
+    pub(crate) fn through(&self, cell: [i32; 3]) -> Surface {
+        let number: HashMap<Key, u32> = self
+            .vertices
+            .keys()
+            .zip(0..)
+            .map(|(&k, n)| (k, n))
+            .collect();
+        let mut sets = super::topology::Sets::new(self.vertices.len());
+        for (a, b) in self.arcs() {
+            sets.join(number[&a], number[&b]);
+        }
+        let seeds = self.loops.get(&cell).into_iter().flatten();
+        let roots: Vec<u32> = seeds.map(|ring| sets.root(number[&ring[0]])).collect();
+        let mut reached = |key: &Key| roots.contains(&sets.root(number[key]));
+        let mut part = self.clone();
+        part.vertices.retain(|key, _| reached(key));
+        for loops in part.loops.values_mut() {
+            loops.retain(|ring| reached(&ring[0]));
+        }
+        part.loops.retain(|_, loops| !loops.is_empty());
+        part
     }
 
     /// Components, Euler characteristic (loops as disks) and open borders.

@@ -12,7 +12,7 @@ impl Sets {
         Self((0..n as u32).collect())
     }
 
-    fn root(&mut self, mut v: u32) -> u32 {
+    pub(crate) fn root(&mut self, mut v: u32) -> u32 {
         while self.0[v as usize] != v {
             self.0[v as usize] = self.0[self.0[v as usize] as usize];
             v = self.0[v as usize];
