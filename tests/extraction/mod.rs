@@ -1,5 +1,7 @@
 //! Isosurface extraction against the naive oracle, and the laws that it keeps.
 
+mod analytic;
+mod checker;
 mod compare;
 mod laws;
 mod oracle;

@@ -41,7 +41,7 @@ pub(crate) struct Verdict {
     pub(crate) nonmanifold_edges: u64,
     /// Edges of two triangles that run the same way in both.
     pub(crate) misoriented_edges: u64,
-    /// Vertices whose triangles do not form one fan.
+    /// Fans beyond one at each vertex.
     pub(crate) nonmanifold_vertices: u64,
     /// Triangles with a repeated corner or without area.
     pub(crate) degenerate: u64,
@@ -101,34 +101,44 @@ pub(crate) fn judge(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Verdict {
     verdict.components = sets.count() as u64 - verdict.unused_vertices;
     verdict.euler = (verdict.vertices - verdict.unused_vertices) as i64 - edges.len() as i64
         + triangles.len() as i64;
-    verdict.nonmanifold_vertices = split_fans(positions.len(), triangles);
+    verdict.nonmanifold_vertices = extra_fans(triangles, &edges);
     verdict
 }
 
-/// Vertices whose triangles, joined across shared edges, fall into more than one group.
-fn split_fans(vertices: usize, triangles: &[[u32; 3]]) -> u64 {
-    // Around each vertex the opposite edges, as (from, to).
-    let mut around: Vec<Vec<(u32, u32)>> = vec![Vec::new(); vertices];
-    for &[a, b, c] in triangles {
-        for (v, from, to) in [(a, b, c), (b, c, a), (c, a, b)] {
-            around[v as usize].push((from, to));
+/// Fans beyond one at each vertex; triangles belong to one fan when an edge of exactly two
+/// triangles joins them.
+fn extra_fans(triangles: &[[u32; 3]], edges: &HashMap<(u32, u32), [u64; 2]>) -> u64 {
+    // Corners of triangles by vertex: (vertex, corner), where corner 3 t + i is vertex i of t.
+    let mut corners: Vec<(u32, u32)> = (0..)
+        .zip(triangles.iter().flatten())
+        .map(|(c, &v)| (v, c))
+        .collect();
+    corners.sort_unstable();
+    let mut extra = 0;
+    for around in corners.chunk_by(|a, b| a.0 == b.0) {
+        let mut fans = Sets::new(around.len());
+        for (i, &(v, a)) in (0..).zip(around) {
+            for (j, &(_, b)) in (0..i).zip(around) {
+                let ends = |c: u32| {
+                    triangles[c as usize / 3]
+                        .into_iter()
+                        .filter(move |&w| w != v)
+                };
+                let shared = ends(a).find(|w| ends(b).any(|o| o == *w && counts_two(edges, v, o)));
+                if a / 3 != b / 3 && shared.is_some() {
+                    fans.join(i, j);
+                }
+            }
         }
+        extra += fans.count() as u64 - 1;
     }
-    around
-        .iter()
-        .filter(|link| !link.is_empty() && groups(link) > 1)
-        .count() as u64
+    extra
 }
 
-/// Number of connected parts of a small graph given by its edges.
-fn groups(edges: &[(u32, u32)]) -> usize {
-    let mut names: Vec<u32> = edges.iter().flat_map(|&(a, b)| [a, b]).collect();
-    names.sort_unstable();
-    names.dedup();
-    let at = |v: u32| names.binary_search(&v).expect("collected above") as u32;
-    let mut sets = Sets::new(names.len());
-    edges.iter().for_each(|&(a, b)| sets.join(at(a), at(b)));
-    sets.count()
+fn counts_two(edges: &HashMap<(u32, u32), [u64; 2]>, a: u32, b: u32) -> bool {
+    edges
+        .get(&(a.min(b), a.max(b)))
+        .is_some_and(|[up, down]| up + down == 2)
 }
 
 fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
