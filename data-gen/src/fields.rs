@@ -178,7 +178,7 @@ impl std::error::Error for SceneError {}
 /// A scalar field at the lattice points `0..size`.
 ///
 /// # Memory
-/// Tables of at most 80 bytes per point of a side.
+/// Tables of at most 128 bytes per point of the longest side.
 #[derive(Clone, Debug)]
 pub struct Scene {
     name: SceneName,
