@@ -1,2 +1,64 @@
-//! Command line.
-fn main() {}
+//! The command line program: dispatch and exit codes.
+
+mod args;
+mod cmd;
+mod colourmap;
+mod job;
+mod output;
+mod parse;
+mod picture;
+mod progress;
+mod render;
+mod system;
+mod tally;
+mod tee;
+
+use args::{Cli, Command};
+use clap::Parser;
+use std::process::ExitCode;
+
+/// How a command ended that did not fail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Outcome {
+    Done,
+    /// Finished, but the result is not what was asked.
+    NotWhatWasAsked,
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let ended = match &cli.command {
+        Command::Demo(args) => cmd::demo::run(args),
+        Command::Import(args) => cmd::import::run(args),
+        Command::Export(args) => cmd::export::run(args),
+        Command::Info(args) => cmd::info::run(args),
+        Command::Verify(args) => cmd::verify::run(args),
+        Command::Mesh(args) => cmd::mesh::run(args),
+        Command::Check(args) => cmd::check::run(args),
+        Command::Slice(args) => cmd::slice::run(args),
+        Command::Completions(args) => cmd::manual::completions(args),
+        Command::Man(args) => cmd::manual::pages(args),
+    };
+    match ended {
+        Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::NotWhatWasAsked) => ExitCode::from(3),
+        Err(error) => ExitCode::from(report(&error)),
+    }
+}
+
+/// Says on one line what went wrong; gives the exit code.
+fn report(error: &anyhow::Error) -> u8 {
+    let closed = |e: &std::io::Error| e.kind() == std::io::ErrorKind::BrokenPipe;
+    if error.downcast_ref::<std::io::Error>().is_some_and(closed) {
+        return 0; // The reader of our results has seen enough.
+    }
+    let line = format!("{error:#}").replace(['\n', '\r'], " ");
+    job::message(&format!("brickmarch: {line}"));
+    let cancelled = error
+        .downcast_ref::<brickmarch::Error>()
+        .is_some_and(|e| e.kind() == brickmarch::ErrorKind::Cancelled);
+    match job::signal_exit_code() {
+        Some(code) if cancelled => code,
+        _ => 1,
+    }
+}

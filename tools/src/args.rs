@@ -1,0 +1,437 @@
+//! The command line: one definition per flag; help, completions and manual pages come from here.
+
+use crate::parse;
+use brickmarch::{Box3, Kind, SampleType};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+const EXIT_CODES: &str = "\
+Exit codes: 0 done; 1 failed or bad input; 2 wrong usage; 3 finished, but the result is not what was
+asked (check: the mesh is open or not a 2-manifold; verify: the file is damaged); 130 and 143 stopped
+by SIGINT and SIGTERM.
+
+Results go to standard output, progress and messages to standard error.";
+
+/// Sparse out-of-core volumes and exact closed isosurfaces, inside a memory budget.
+#[derive(Parser, Debug)]
+#[command(name = "brickmarch", version, propagate_version = true, after_help = EXIT_CODES)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Subcommand, Debug)]
+pub(crate) enum Command {
+    /// Run the whole pipeline on a real CT scan and on a 1024^3 field, and leave the results
+    Demo(Demo),
+    /// Turn a volume of another format into a .bvol file
+    Import(Import),
+    /// Write a volume, or a region of it, as raw samples, .npy or .nrrd
+    Export(Export),
+    /// Say what is in a volume file
+    Info(Info),
+    /// Read every byte of a volume file and check every checksum and rule
+    Verify(Verify),
+    /// Extract the isosurface of a volume as a closed triangle mesh (.ply, .stl, .obj)
+    Mesh(Mesh),
+    /// Check a mesh: closed, 2-manifold, oriented, components, genus, area, volume
+    Check(Check),
+    /// Write an axis-aligned slice of a volume as a PNG picture
+    Slice(Slice),
+    /// Print a completion script for a shell
+    Completions(Completions),
+    /// Write the manual pages into a folder
+    Man(Man),
+}
+
+/// How much may be used.
+#[derive(Args, Debug, Clone)]
+#[command(next_help_heading = "Limits")]
+pub(crate) struct Limits {
+    /// Memory for data; peak resident memory stays below this plus 48 MiB
+    #[arg(long, value_name = "SIZE", default_value = "256MiB", value_parser = parse::size)]
+    pub mem: u64,
+    /// Threads at most [default: one per core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+/// What is said, and how.
+#[derive(Args, Debug, Clone)]
+#[command(next_help_heading = "Messages")]
+pub(crate) struct Say {
+    /// Print one JSON object with the results instead of text
+    #[arg(long)]
+    pub json: bool,
+    /// Only results and errors
+    #[arg(short, long, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// More on standard error
+    #[arg(short, long, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+    /// Progress on standard error; auto: a bar on a terminal, plain lines otherwise, none with --json
+    #[arg(long, value_enum, default_value_t = ProgressMode::Auto, value_name = "HOW")]
+    pub progress: ProgressMode,
+}
+
+/// Whether results may replace files.
+#[derive(Args, Debug, Clone)]
+pub(crate) struct Overwrite {
+    /// Replace the output if it exists
+    #[arg(long)]
+    pub overwrite: bool,
+}
+
+/// Which part of a volume.
+#[derive(Args, Debug, Clone)]
+pub(crate) struct Region {
+    /// Only this region, by index, half-open: x0:x1,y0:y1,z0:z1
+    #[arg(long, value_name = "REGION", allow_hyphen_values = true, conflicts_with = "roi_world",
+          value_parser = region)]
+    pub roi: Option<Box3>,
+    /// Only this region, in world units: x0:x1,y0:y1,z0:z1
+    #[arg(long, value_name = "REGION", allow_hyphen_values = true,
+          value_parser = parse::world_region)]
+    pub roi_world: Option<[[f64; 2]; 3]>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ProgressMode {
+    Auto,
+    Bar,
+    Plain,
+    Json,
+    None,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Demo {
+    /// Folder for the results; made if it does not exist
+    #[arg(default_value = "demo")]
+    pub dir: PathBuf,
+    /// Samples per edge of the large field
+    #[arg(long, value_name = "N", default_value_t = 1024,
+          value_parser = clap::value_parser!(u32).range(32..=4096))]
+    pub size: u32,
+    #[command(flatten)]
+    pub overwrite: Overwrite,
+    #[command(flatten)]
+    pub limits: Limits,
+    #[command(flatten)]
+    pub say: Say,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Import {
+    /// Source: raw, .npy, .nrrd, .nhdr, .nii, .nii.gz, .mha, .mhd (also with .gz)
+    pub source: PathBuf,
+    /// Volume file to write
+    pub out: PathBuf,
+    /// What the samples mean: density, distance, mask, label [default: what the source says]
+    #[arg(long, value_name = "KIND", value_parser = kind)]
+    pub kind: Option<Kind>,
+    /// Samples per brick edge
+    #[arg(long, value_name = "N", value_parser = ["8", "16", "32", "64"])]
+    pub brick: Option<String>,
+    /// Which volume of a series (4-D file), from 0
+    #[arg(long, value_name = "N")]
+    pub volume: Option<u32>,
+    /// Value of the space that holds nothing
+    #[arg(long, value_name = "V", allow_hyphen_values = true, value_parser = parse::finite)]
+    pub background: Option<f64>,
+    #[command(flatten)]
+    pub raw: RawSource,
+    #[command(flatten)]
+    pub overwrite: Overwrite,
+    #[command(flatten)]
+    pub limits: Limits,
+    #[command(flatten)]
+    pub say: Say,
+}
+
+/// How headerless samples are laid out.
+#[derive(Args, Debug, Clone)]
+#[command(next_help_heading = "Raw sources")]
+pub(crate) struct RawSource {
+    /// Samples along x, y, z (x fastest); needed for raw files
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse::dims, requires = "sample",
+          allow_hyphen_values = true)]
+    pub dims: Option<[u32; 3]>,
+    /// Type of a sample: u8, i8, u16, i16, u32, i32, f32; needed for raw files
+    #[arg(long = "type", value_name = "TYPE", value_parser = sample_type, requires = "dims", id = "sample")]
+    pub sample: Option<SampleType>,
+    /// Byte order
+    #[arg(long, value_enum, default_value_t = Endian::Little, requires = "dims")]
+    pub endian: Endian,
+    /// World units per step along x, y, z
+    #[arg(long, value_name = "DX,DY,DZ", value_parser = parse::spacing, requires = "dims",
+          allow_hyphen_values = true)]
+    pub spacing: Option<[f64; 3]>,
+    /// Bytes before the first sample
+    #[arg(long, value_name = "BYTES", default_value_t = 0, requires = "dims")]
+    pub offset: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Endian {
+    Little,
+    Big,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Export {
+    /// Volume file
+    pub volume: PathBuf,
+    /// File to write: .raw, .npy or .nrrd
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub region: Region,
+    #[command(flatten)]
+    pub overwrite: Overwrite,
+    #[command(flatten)]
+    pub limits: Limits,
+    #[command(flatten)]
+    pub say: Say,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Info {
+    /// Volume file
+    pub volume: PathBuf,
+    #[command(flatten)]
+    pub limits: Limits,
+    #[command(flatten)]
+    pub say: Say,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Verify {
+    /// Volume file
+    pub volume: PathBuf,
+    #[command(flatten)]
+    pub limits: Limits,
+    #[command(flatten)]
+    pub say: Say,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Mesh {
+    /// Volume file
+    pub volume: PathBuf,
+    /// Mesh to write: .ply, .stl or .obj
+    pub out: PathBuf,
+    /// The isovalue [default: 0 for a distance, 0.5 for a mask; a density has none]
+    #[arg(long, value_name = "V", allow_hyphen_values = true, value_parser = parse::isovalue,
+          visible_alias = "iso-value")]
+    pub iso: Option<f32>,
+    /// The surface of this segment of a label volume
+    #[arg(long, value_name = "ID", conflicts_with = "iso")]
+    pub label: Option<u32>,
+    #[command(flatten)]
+    pub region: Region,
+    /// Only the surface through this cell (its lowest corner, by index); may be repeated
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse::triple::<i32>)]
+    pub seed: Vec<[i32; 3]>,
+    /// What happens where the surface leaves the region
+    #[arg(long, value_enum, default_value_t = BoundaryMode::Cap)]
+    pub boundary: BoundaryMode,
+    /// Which side of the isovalue is inside [default: below for a distance, above otherwise]
+    #[arg(long, value_enum)]
+    pub inside: Option<InsideMode>,
+    /// Write unit normals, from the gradient of the samples
+    #[arg(long)]
+    pub normals: bool,
+    /// Write the lattice edge of each vertex, by which pieces can be joined
+    #[arg(long)]
+    pub keys: bool,
+    /// Coordinates of the mesh
+    #[arg(long, value_enum, default_value_t = Space::World)]
+    pub space: Space,
+    /// Write a mesh without triangles when nothing crosses the isovalue, instead of failing
+    #[arg(long)]
+    pub allow_empty: bool,
+    /// Say what would be read and how much memory it takes, and stop
+    #[arg(long)]
+    pub dry_run: bool,
+    #[command(flatten)]
+    pub shot: Shot,
+    #[command(flatten)]
+    pub overwrite: Overwrite,
+    #[command(flatten)]
+    pub limits: Limits,
+    #[command(flatten)]
+    pub say: Say,
+}
+
+/// A shaded picture of the surface, drawn while it is made.
+#[derive(Args, Debug, Clone)]
+#[command(next_help_heading = "Picture")]
+pub(crate) struct Shot {
+    /// Write a shaded picture of the surface too
+    #[arg(long, value_name = "FILE.png")]
+    pub picture: Option<PathBuf>,
+    /// Size of the picture
+    #[arg(long, value_name = "WxH", default_value = "1200x900", value_parser = parse::pixels)]
+    pub picture_size: [u32; 2],
+    /// Where to look from: azimuth,elevation in degrees; 0,0 looks along +y with z up
+    #[arg(long, value_name = "A,E", default_value = "30,25", value_parser = parse::view,
+          allow_hyphen_values = true)]
+    pub view: [f64; 2],
+    /// Colour of the surface
+    #[arg(long, value_name = "RRGGBB", default_value = "e8d9be", value_parser = parse::colour)]
+    pub colour: [u8; 3],
+    /// Parallel projection instead of perspective
+    #[arg(long)]
+    pub parallel: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum BoundaryMode {
+    /// Close the solid along the border
+    Cap,
+    /// Leave the surface open at the border
+    Cut,
+    /// Cap at the border of the volume, leave open at the border of the region, for joining
+    Tile,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum InsideMode {
+    /// Inside is value >= iso
+    Above,
+    /// Inside is value < iso
+    Below,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Space {
+    World,
+    Index,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Check {
+    /// Mesh: .ply, .stl or .obj
+    pub mesh: PathBuf,
+    /// A border is no fault
+    #[arg(long)]
+    pub open_ok: bool,
+    /// Memory for the mesh, which is read whole
+    #[arg(long, value_name = "SIZE", default_value = "4GiB", value_parser = parse::size)]
+    pub mem: u64,
+    #[command(flatten)]
+    pub say: Say,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Slice {
+    /// Volume file
+    pub volume: PathBuf,
+    /// Picture to write
+    pub out: PathBuf,
+    /// Axis that the slice is perpendicular to (by index)
+    #[arg(long, value_enum, default_value_t = Axis::Z)]
+    pub axis: Axis,
+    /// Which slice, by index [default: the middle]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, conflicts_with = "position")]
+    pub index: Option<i32>,
+    /// Which slice, by world coordinate; the nearest one is taken
+    #[arg(long, value_name = "W", allow_hyphen_values = true, value_parser = parse::finite)]
+    pub position: Option<f64>,
+    /// Values shown as black and white [default: the 0.5th and 99.5th percentile]
+    #[arg(long, value_name = "LO:HI", allow_hyphen_values = true, value_parser = parse::window)]
+    pub window: Option<(f64, f64)>,
+    /// Colour map [default: labels for a label volume, grey otherwise]
+    #[arg(long, value_enum)]
+    pub map: Option<MapName>,
+    /// Pixels per sample along the finer axis
+    #[arg(long, value_name = "S", default_value = "1", value_parser = scale)]
+    pub scale: f64,
+    #[command(flatten)]
+    pub region: Region,
+    #[command(flatten)]
+    pub overwrite: Overwrite,
+    #[command(flatten)]
+    pub limits: Limits,
+    #[command(flatten)]
+    pub say: Say,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Axis {
+    X,
+    Y,
+    Z,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum MapName {
+    /// Black to white
+    Grey,
+    /// Dark violet to yellow, even to the eye
+    Viridis,
+    /// Black through red to pale yellow
+    Inferno,
+    /// Blue, white, red, for values around a middle
+    Diverging,
+    /// A colour of its own for each value
+    Labels,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Completions {
+    /// bash, elvish, fish, powershell or zsh
+    pub shell: clap_complete::Shell,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Man {
+    /// Folder for brickmarch.1 and one page per command
+    pub dir: PathBuf,
+}
+
+fn region(text: &str) -> Result<Box3, String> {
+    text.parse().map_err(|e: brickmarch::Error| e.to_string())
+}
+
+fn kind(text: &str) -> Result<Kind, String> {
+    match text.parse() {
+        Ok(Kind::Color) => Err("'color' volumes cannot be imported yet".to_string()),
+        other => other.map_err(|e: brickmarch::Error| e.to_string()),
+    }
+}
+
+fn sample_type(text: &str) -> Result<SampleType, String> {
+    text.parse().map_err(|e: brickmarch::Error| e.to_string())
+}
+
+fn scale(text: &str) -> Result<f64, String> {
+    let value = parse::finite(text)?;
+    if (0.01..=64.0).contains(&value) {
+        Ok(value)
+    } else {
+        Err(format!("'{text}': the scale must be from 0.01 to 64"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_definition_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn negative_numbers_are_values() {
+        let line = "brickmarch mesh a.bvol b.ply --iso -500 --seed -1,2,3 --seed 4,5,6 --roi -3:4,0:1,0:1";
+        let cli = Cli::try_parse_from(line.split_whitespace()).expect("parses");
+        let Command::Mesh(mesh) = cli.command else { panic!("mesh") };
+        assert_eq!(mesh.iso, Some(-500.0));
+        assert_eq!(mesh.seed, [[-1, 2, 3], [4, 5, 6]]);
+        assert_eq!(mesh.region.roi, Some(Box3::new([-3, 0, 0], [4, 1, 1])));
+        assert_eq!(mesh.limits.mem, 256 << 20);
+    }
+}
