@@ -12,6 +12,12 @@ pub(crate) enum Replace {
     No,
 }
 
+impl From<&crate::args::Overwrite> for Replace {
+    fn from(args: &crate::args::Overwrite) -> Replace {
+        if args.overwrite { Replace::Yes } else { Replace::No }
+    }
+}
+
 /// Checks before the work starts that `path` can be written: its folder is there, and the file is
 /// not, unless it may be replaced.
 ///
