@@ -11,3 +11,36 @@ pub(crate) mod slice;
 pub(crate) mod verify;
 
 mod region;
+
+use brickmarch::Error;
+use std::path::Path;
+
+/// Puts the file that an error is about in front of it, unless the message names one of `paths`.
+fn named(paths: &[&Path]) -> impl Fn(Error) -> Error {
+    let names: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
+    move |error| {
+        let message = error.to_string();
+        match names.first() {
+            Some(first) if !names.iter().any(|n| message.contains(n)) => error.context(first),
+            _ => error,
+        }
+    }
+}
+
+/// `1234567` as "1,234,567".
+fn thousands(number: u64) -> String {
+    let digits = number.to_string();
+    let mut out = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i) % 3 == 0 {
+            out.push(',');
+        }
+        out.push(digit);
+    }
+    out
+}
+
+/// A number of seconds as people say it.
+fn seconds(seconds: f64) -> String {
+    format!("{seconds:.2} s")
+}

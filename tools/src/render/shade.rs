@@ -10,10 +10,12 @@ use std::sync::atomic::Ordering;
 
 /// Towards the key light in camera space (right, up, toward the eye).
 pub(super) const KEY_LIGHT: DVec3 = DVec3::new(-0.55, 0.75, 0.75);
-const FILL_LIGHT: Vec3 = Vec3::new(0.8, 0.1, 0.6);
+const FILL_LIGHT: Vec3 = Vec3::new(0.85, 0.15, 0.5);
 const RIM_LIGHT: Vec3 = Vec3::new(0.35, 0.55, -0.75);
 /// Samples of the neighbourhood that decide how hollow a place is.
-const HOLLOW_SAMPLES: usize = 28;
+const HOLLOW_SAMPLES: usize = 24;
+/// Samples of the light's depth picture that decide how shadowed a place is.
+const SHADOW_SAMPLES: usize = 10;
 /// Side of the pattern by which neighbouring samples turn their neighbourhoods.
 const PATTERN: usize = 4;
 
@@ -57,10 +59,13 @@ impl Raster {
         let [fine_w, fine_h] = self.size;
         let _permit = budget.take((w * h * 3 + fine_w * fine_h) as u64, "shading the picture")?;
         let scale = self.light_units();
+        // A spiral, denser towards the middle, so that fine and coarse hollows both show.
+        let around = spirals(HOLLOW_SAMPLES, 5.0, 1.8);
+        let soft = spirals(SHADOW_SAMPLES, 4.236, 0.5);
         let mut open = vec![0u8; fine_w * fine_h];
         each_row(&mut open, fine_w, budget, |y, row| {
             for (x, value) in row.iter_mut().enumerate() {
-                *value = (self.openness(x, y, scale) * 255.0 + 0.5) as u8;
+                *value = (self.openness(x, y, scale, &around) * 255.0 + 0.5) as u8;
             }
         })?;
         let mut picture = Picture::rgb(self.look.width, self.look.height);
@@ -69,7 +74,7 @@ impl Raster {
                 let mut sum = Vec3::ZERO;
                 for sub in 0..SUPER * SUPER {
                     let (sx, sy) = (x * SUPER + sub % SUPER, y * SUPER + sub / SUPER);
-                    sum += self.colour(sx, sy, &open, scale);
+                    sum += self.colour(sx, sy, &open, scale, &soft);
                 }
                 pixel.copy_from_slice(&to_srgb(sum / (SUPER * SUPER) as f32));
             }
@@ -84,82 +89,76 @@ impl Raster {
     }
 
     /// From 0 (deep in a hollow) to 1 (open), by looking around in the depth picture.
-    fn openness(&self, x: usize, y: usize, scene: f64) -> f32 {
+    fn openness(&self, x: usize, y: usize, scene: f64, around: &[Spiral]) -> f32 {
         let Some((position, normal)) = self.sample(x, y) else {
             return 1.0;
         };
         let normal = normal.as_dvec3();
-        let reach = 0.13 * scene;
+        let reach = 0.11 * scene;
         let reach_px = reach * self.camera.pixels_per_unit(position);
-        let turn = (x % PATTERN + PATTERN * (y % PATTERN)) as f64 / (PATTERN * PATTERN) as f64;
+        let [w, h] = self.size.map(|v| v as f64);
         let mut hidden = 0.0;
-        for i in 0..HOLLOW_SAMPLES {
-            // A spiral, denser towards the middle, so that fine and coarse hollows both show.
-            let t = (i as f64 + 0.3 + 0.6 * turn) / HOLLOW_SAMPLES as f64;
-            let radius = reach_px * t.powf(1.8) + 1.5;
-            let (sin, cos) = (std::f64::consts::TAU * (t * 5.0 + turn)).sin_cos();
-            let (u, v) = (x as f64 + radius * cos, y as f64 + radius * sin);
-            if u < 0.0 || v < 0.0 || u >= self.size[0] as f64 || v >= self.size[1] as f64 {
+        for [dx, dy] in &around[pattern(x, y)] {
+            // At least the next sample but one: this one is no neighbour.
+            let step = |d: f64| d * reach_px + d.signum() * 1.5;
+            let (u, v) = (x as f64 + step(*dx), y as f64 + step(*dy));
+            if u < 0.0 || v < 0.0 || u >= w || v >= h {
                 continue;
             }
             if let Some((other, _)) = self.sample(u as usize, v as usize) {
                 let offset = other - position;
                 let length = offset.length().max(1e-12);
                 let near = (1.0 - length / reach).max(0.0);
-                hidden += (offset.dot(normal) / length - 0.12).max(0.0) * near.sqrt();
+                hidden += (offset.dot(normal) / length - 0.1).max(0.0) * near.sqrt();
             }
         }
-        (1.0 - 2.4 * hidden / HOLLOW_SAMPLES as f64).clamp(0.0, 1.0) as f32
+        (1.0 - 2.9 * hidden / HOLLOW_SAMPLES as f64).clamp(0.0, 1.0) as f32
     }
 
     /// How much of the key light arrives, softened over a few cells of its depth picture.
-    fn lit(&self, position: DVec3, normal: DVec3, scene: f64, turn: f64) -> f32 {
+    fn lit(&self, position: DVec3, normal: DVec3, scene: f64, around: &Spiral) -> f32 {
         let edge = (self.light_depth.len() as f64).sqrt();
         let start = self.camera.to_world(position + normal * (0.004 * scene));
         let [x, y, depth] = self.light.project(start);
         let limit = (depth.clamp(0.0, 1.0) * f64::from(u32::MAX)) as u32;
         let limit = limit.saturating_sub(u32::MAX / 1500);
-        let mut open = 0;
-        const TAPS: usize = 12;
-        for i in 0..TAPS {
-            let t = (i as f64 + 0.5) / TAPS as f64;
-            let radius = 0.004 * edge * t.sqrt();
-            let (sin, cos) = (std::f64::consts::TAU * (t * 4.236 + turn)).sin_cos();
-            let (u, v) = (x + radius * cos, y + radius * sin);
+        let radius = 0.0045 * edge;
+        let free = |d: &&[f64; 2]| {
+            let (u, v) = (x + radius * d[0], y + radius * d[1]);
             let outside = u < 0.0 || v < 0.0 || u >= edge || v >= edge;
-            let free = || {
+            outside || {
                 let at = u as usize + v as usize * edge as usize;
                 self.light_depth[at].load(Ordering::Relaxed) >= limit
-            };
-            open += usize::from(outside || free());
-        }
-        open as f32 / TAPS as f32
+            }
+        };
+        around.iter().filter(free).count() as f32 / around.len() as f32
     }
 
     /// Linear colour of one sample.
-    fn colour(&self, x: usize, y: usize, open: &[u8], scene: f64) -> Vec3 {
+    fn colour(&self, x: usize, y: usize, open: &[u8], scene: f64, soft: &[Spiral]) -> Vec3 {
         let Some((position, normal)) = self.sample(x, y) else {
             return self.background(x, y);
         };
         let eye = self.camera.to_eye(position).as_vec3();
         let hollow = self.smooth_openness(x, y, open);
-        let turn = (x % PATTERN + PATTERN * (y % PATTERN)) as f64 / (PATTERN * PATTERN) as f64;
-        let lit = self.lit(position, normal.as_dvec3(), scene, turn);
+        let lit = self.lit(position, normal.as_dvec3(), scene, &soft[pattern(x, y)]);
         let albedo = from_srgb(self.look.colour);
         let key = KEY_LIGHT.normalize().as_vec3();
         let (fill, rim) = (FILL_LIGHT.normalize(), RIM_LIGHT.normalize());
-        let wrapped = ((normal.dot(key) + 0.15) / 1.15).max(0.0);
-        let sky = Vec3::new(0.36, 0.39, 0.44) * (0.5 + 0.5 * normal.y)
-            + Vec3::new(0.22, 0.19, 0.17) * (0.5 - 0.5 * normal.y);
-        let mut light = sky * hollow * hollow.sqrt();
-        light += Vec3::new(1.18, 1.12, 1.02) * (wrapped * lit * (0.55 + 0.45 * hollow));
-        light += Vec3::new(0.13, 0.16, 0.21) * (normal.dot(fill).max(0.0) * hollow);
+        let wrapped = ((normal.dot(key) + 0.1) / 1.1).max(0.0);
+        // Light that bounces in a hollow takes the colour of the surface.
+        let ambient = bounced(albedo, hollow);
+        let sky = Vec3::new(0.26, 0.29, 0.34) * (0.5 + 0.5 * normal.y)
+            + Vec3::new(0.16, 0.14, 0.12) * (0.5 - 0.5 * normal.y);
+        let mut light = sky * ambient;
+        light += Vec3::new(1.02, 0.97, 0.89) * (wrapped * lit * (0.3 + 0.7 * hollow));
+        light += Vec3::new(0.20, 0.22, 0.26) * (normal.dot(fill).max(0.0) * hollow);
         let mut colour = albedo * light;
         let half = (key + eye).normalize_or(key);
-        colour += Vec3::splat(0.16 * normal.dot(half).max(0.0).powi(38) * lit * hollow);
+        colour += Vec3::splat(0.10 * normal.dot(half).max(0.0).powi(40) * lit * hollow);
         let grazing = (1.0 - normal.dot(eye).max(0.0)).powi(3);
         let behind = (normal.dot(rim) + 0.35).max(0.0);
-        colour += Vec3::new(0.34, 0.38, 0.42) * (grazing * behind * hollow);
+        colour += Vec3::new(0.20, 0.23, 0.26) * (grazing * behind * hollow * hollow);
         // Light that passes 1 bends over instead of clipping.
         colour.map(|v| if v > 0.7 { 0.7 + 0.3 * (1.0 - (-(v - 0.7) / 0.3).exp()) } else { v })
     }
@@ -186,9 +185,9 @@ impl Raster {
     /// Neutral, lighter above the middle, with a hint of a vignette.
     fn background(&self, x: usize, y: usize) -> Vec3 {
         let [w, h] = self.size.map(|v| v as f32);
-        let (u, v) = (x as f32 / w - 0.5, y as f32 / h - 0.42);
-        let fall = (u * u * 0.9 + v * v * 1.3).min(1.0);
-        Vec3::new(0.80, 0.82, 0.845) * (1.0 - 0.75 * fall)
+        let (u, v) = (x as f32 / w - 0.5, y as f32 / h - 0.40);
+        let fall = (u * u * 0.7 + v * v * 1.4).min(1.0);
+        Vec3::new(0.68, 0.70, 0.73) * (1.0 - 0.95 * fall)
     }
 
     /// Samples that show the surface.
@@ -197,6 +196,40 @@ impl Raster {
         let seen = |p: &&std::sync::atomic::AtomicU64| p.load(Ordering::Relaxed) != EMPTY;
         self.pixels.iter().filter(seen).count()
     }
+}
+
+/// Offsets within the unit circle.
+type Spiral = Vec<[f64; 2]>;
+
+/// A spiral of `count` offsets for each place of the pattern; distances grow as `t^power`.
+fn spirals(count: usize, turns: f64, power: f64) -> Vec<Spiral> {
+    let places = PATTERN * PATTERN;
+    let spiral = |place: usize| {
+        // Neighbours in the pattern are far apart in the order.
+        let turn = (place * 7 % places) as f64 / places as f64;
+        let offset = |i: usize| {
+            let t = (i as f64 + 0.3 + 0.6 * turn) / count as f64;
+            let (sin, cos) = (std::f64::consts::TAU * (t * turns + turn)).sin_cos();
+            [t.powf(power) * cos, t.powf(power) * sin]
+        };
+        (0..count).map(offset).collect()
+    };
+    (0..places).map(spiral).collect()
+}
+
+/// The place of a sample in the pattern.
+fn pattern(x: usize, y: usize) -> usize {
+    x % PATTERN + PATTERN * (y % PATTERN)
+}
+
+/// What reaches a hollow after some bounces: darker, and more so where the surface is dark
+/// (the fit of Jimenez et al., "Practical real-time strategies for accurate indirect occlusion").
+fn bounced(albedo: Vec3, open: f32) -> Vec3 {
+    let a = 2.0404 * albedo - 0.3324;
+    let b = -4.7951 * albedo + 0.6417;
+    let c = 2.7552 * albedo + 0.6903;
+    let x = Vec3::splat(open);
+    x.max(((x * a + b) * x + c) * x)
 }
 
 /// Fills the rows of `out` on the threads of the budget; a row depends on its number only.

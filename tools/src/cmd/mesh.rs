@@ -1,0 +1,316 @@
+//! `mesh`: the isosurface of a volume into a mesh file, and a picture of it if wanted.
+
+use super::info::range_json;
+use super::{named, region, seconds, thousands};
+use crate::Outcome;
+use crate::args::{BoundaryMode, InsideMode, Mesh, Shot, Space};
+use crate::job::Job;
+use crate::output::{self, Replace};
+use crate::picture;
+use crate::render::{Look, Raster, View, crossing_bounds};
+use crate::tally::{Figures, Tally};
+use crate::tee::Tee;
+use brickmarch::budget::human_bytes;
+use brickmarch::iso::{Boundary, Extract, Stats, extract};
+use brickmarch::mesh::Layout;
+use brickmarch::store::Volume;
+use brickmarch::{Box3, Budget, Error, ErrorKind, Field, Inside, Kind, MeshSink, Result};
+use serde_json::{Value, json};
+use std::path::Path;
+
+pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
+    let replace = Replace::from(&args.overwrite);
+    let job = Job::new(&args.limits, &args.say);
+    if !args.dry_run {
+        output::check_target(&args.out, replace)?;
+        if let Some(shot) = &args.shot.picture {
+            picture::check_png_name(shot)?;
+            output::check_target(shot, replace)?;
+        }
+    }
+    let volume = Volume::open(&args.volume, &job.budget)?;
+    let blame = named(&[&args.volume, &args.out]);
+    let label;
+    let field: &dyn Field = match args.label {
+        Some(id) => {
+            check_label(&volume, id).map_err(&blame)?;
+            label = volume.label(id);
+            &label
+        }
+        None => &volume,
+    };
+    let options = options(args, field).map_err(&blame)?;
+    if args.dry_run {
+        return dry_run(args, &job, field, &options).map_err(|e| anyhow::Error::new(blame(e)));
+    }
+    let made = make(args, &job, field, &options, replace).map_err(&blame)?;
+    let took = job.seconds();
+    let bytes_in = std::fs::metadata(&args.volume).map(|m| m.len()).ok();
+    let bytes_out = std::fs::metadata(&args.out).map(|m| m.len()).ok();
+    let Made { stats, figures, picture_bytes } = made;
+    let text = format!(
+        "{}: {} triangles, {} vertices, {}, area {:.6}, volume {:.6}, {}, {}, peak {}\n",
+        args.out.display(),
+        thousands(stats.triangles),
+        thousands(stats.vertices),
+        if figures.closed { "closed" } else { "open" },
+        figures.area,
+        figures.volume,
+        human_bytes(bytes_out.unwrap_or(0)),
+        seconds(took),
+        Job::peak_text(),
+    );
+    let mut json = json!({
+        "schema": 1, "command": "mesh", "volume": args.volume, "out": args.out,
+        "iso": options.iso, "inside": inside_name(options.inside.unwrap_or(field.kind().inside())),
+        "label": args.label, "range": range_json(field.range(field.grid().domain)?),
+        "seconds": took, "peak_rss_bytes": crate::system::peak_resident_bytes(),
+        "budget_peak_bytes": job.budget.peak_bytes(), "mem_bytes": args.limits.mem,
+        "bytes_in": bytes_in, "bytes_out": bytes_out,
+        "picture": args.shot.picture, "picture_bytes": picture_bytes,
+    });
+    add_figures(&mut json, &stats, &figures);
+    job.result(&text, &json)?;
+    Ok(Outcome::Done)
+}
+
+/// Counts and measures of a mesh, for programs.
+pub(super) fn add_figures(json: &mut Value, stats: &Stats, figures: &Figures) {
+    let more = json!({
+        "vertices": stats.vertices, "triangles": stats.triangles,
+        "interior_vertices": stats.interior_vertices, "active_cells": stats.active_cells,
+        "ambiguous_faces": stats.ambiguous_faces, "blocks_visited": stats.blocks_visited,
+        "blocks_decoded": stats.blocks_decoded, "front_bytes_max": stats.front_bytes_max,
+        "closed": figures.closed, "euler": figures.euler,
+        "area": figures.area, "signed_volume": figures.volume,
+    });
+    if let (Some(to), Value::Object(from)) = (json.as_object_mut(), more) {
+        to.extend(from);
+    }
+}
+
+/// A label that no sample has is a mistake that is better said at once.
+fn check_label(volume: &Volume, id: u32) -> Result<()> {
+    let range = volume.range(volume.grid().domain)?;
+    let value = f64::from(id);
+    // The range is in f32, which is coarse for large numbers.
+    let slack = f64::from(f32::EPSILON) * value;
+    if value < f64::from(range.min) - slack || value > f64::from(range.max) + slack {
+        return Err(Error::bad_input(format!(
+            "no sample is {id}: the labels lie in {} to {}",
+            range.min, range.max
+        )));
+    }
+    Ok(())
+}
+
+/// The options of extraction that the command line asks for.
+///
+/// # Errors
+/// When there is no isovalue, or the region is outside of the domain.
+fn options(args: &Mesh, field: &dyn Field) -> Result<Extract> {
+    let range = || field.range(field.grid().domain);
+    let iso = match (args.iso, field.kind()) {
+        (Some(iso), _) => iso,
+        (None, Kind::Label) => {
+            return Err(Error::bad_input(
+                "a label volume has one surface per segment: give --label ID (or --iso V)",
+            ));
+        }
+        (None, kind) => match kind.default_iso() {
+            Some(iso) => iso,
+            None => {
+                let range = range()?;
+                return Err(Error::bad_input(format!(
+                    "a {} has no isovalue of its own: give --iso V between {} and {}",
+                    kind.name(),
+                    range.min,
+                    range.max
+                )));
+            }
+        },
+    };
+    Ok(Extract {
+        iso,
+        inside: args.inside.map(|side| match side {
+            InsideMode::Above => Inside::Above,
+            InsideMode::Below => Inside::Below,
+        }),
+        region: cells(args, field)?,
+        boundary: match args.boundary {
+            BoundaryMode::Cap => Boundary::Cap,
+            BoundaryMode::Cut => Boundary::Cut,
+            BoundaryMode::Tile => Boundary::Tile,
+        },
+        seeds: args.seed.clone(),
+        normals: args.normals || args.shot.picture.is_some(),
+        keys: args.keys,
+        index_space: args.space == Space::Index,
+        allow_empty: args.allow_empty,
+    })
+}
+
+/// The cells of the region: `--roi` counts cells, `--roi-world` the cells between its samples.
+fn cells(args: &Mesh, field: &dyn Field) -> Result<Option<Box3>> {
+    let found = region::resolve(&args.region, field.grid())?;
+    if args.region.roi.is_some() {
+        return Ok(found);
+    }
+    let Some(samples) = found else { return Ok(None) };
+    let cells = Box3::new(samples.min, samples.max.map(|v| v - 1));
+    if cells.is_empty() {
+        return Err(Error::bad_input(
+            "--roi-world holds no cell between samples: make it wider",
+        ));
+    }
+    Ok(Some(cells))
+}
+
+/// A mesh that was written.
+struct Made {
+    stats: Stats,
+    figures: Figures,
+    picture_bytes: Option<u64>,
+}
+
+fn make(
+    args: &Mesh,
+    job: &Job,
+    field: &dyn Field,
+    options: &Extract,
+    replace: Replace,
+) -> Result<Made> {
+    let mut file = brickmarch_formats::create_mesh_sink(&args.out, replace == Replace::Yes)?;
+    let mut raster = match &args.shot.picture {
+        Some(_) => Some(open_raster(&args.shot, field, options, &job.budget)?),
+        None => None,
+    };
+    let wanted = Layout {
+        normals: args.normals,
+        keys: args.keys,
+    };
+    let (stats, figures) = {
+        let _watch = job.watch("meshing");
+        let raster = raster.as_mut().map(|r| r as &mut dyn MeshSink);
+        pass(field, options, &job.budget, file.as_mut(), wanted, raster)?
+    };
+    let mut picture_bytes = None;
+    if let (Some(raster), Some(path)) = (raster, &args.shot.picture) {
+        let picture = raster.picture(&job.budget)?;
+        picture_bytes = Some(picture.write_png(path, replace)?);
+    }
+    Ok(Made {
+        stats,
+        figures,
+        picture_bytes,
+    })
+}
+
+/// Extracts into a file, a tally, and a picture if there is one, in one pass.
+///
+/// # Errors
+/// What extraction and the sinks report.
+pub(super) fn pass(
+    field: &dyn Field,
+    options: &Extract,
+    budget: &Budget,
+    file: &mut dyn MeshSink,
+    wanted: Layout,
+    raster: Option<&mut dyn MeshSink>,
+) -> Result<(Stats, Figures)> {
+    let mut tally = Tally::default();
+    let all = Layout {
+        normals: true,
+        keys: true,
+    };
+    let mut sinks = vec![(file, wanted), (&mut tally as &mut dyn MeshSink, all)];
+    sinks.extend(raster.map(|r| (r, all)));
+    let stats = extract(field, options, budget, &mut Tee::new(sinks))?;
+    Ok((stats, tally.figures()))
+}
+
+fn open_raster(
+    shot: &Shot,
+    field: &dyn Field,
+    options: &Extract,
+    budget: &Budget,
+) -> Result<Raster> {
+    if options.index_space {
+        return Err(Error::new(
+            ErrorKind::Unsupported,
+            "--picture is drawn in world space: leave --space index out, or draw it in a second run",
+        ));
+    }
+    let domain = field.grid().domain;
+    let region = options.region.unwrap_or(domain).grow(0, 1).intersect(&domain);
+    let inside = options.inside.unwrap_or(field.kind().inside());
+    let bounds = crossing_bounds(field, region, options.iso, inside)?;
+    let [width, height] = shot.picture_size;
+    let look = Look {
+        width,
+        height,
+        view: View {
+            azimuth_deg: shot.view[0],
+            elevation_deg: shot.view[1],
+        },
+        parallel: shot.parallel,
+        colour: shot.colour,
+        ..Look::default()
+    };
+    Raster::new(&look, &bounds, budget)
+}
+
+/// Counts the blocks that the surface can cross, and says what meshing them takes.
+fn dry_run(args: &Mesh, job: &Job, field: &dyn Field, options: &Extract) -> Result<Outcome> {
+    let domain = field.grid().domain;
+    let region = options.region.unwrap_or(domain);
+    let edge = field.block_edge();
+    let blocks = crossed_blocks(field, region, options.iso, &job.budget)?;
+    let bytes = blocks * u64::from(edge).pow(3) * 4;
+    let memory = job.budget.memory_bytes();
+    let text = format!(
+        "{}: would read up to {} blocks of {edge}^3 samples ({} decoded), in at most {} of memory\n",
+        args.volume.display(),
+        thousands(blocks),
+        human_bytes(bytes),
+        human_bytes(memory),
+    );
+    let json = json!({
+        "schema": 1, "command": "mesh", "dry_run": true, "volume": args.volume,
+        "blocks": blocks, "block_edge": edge, "bytes_decoded": bytes,
+        "peak_memory_bytes": memory, "iso": options.iso,
+    });
+    let printed = job.result(&text, &json);
+    printed.map_err(|e| Error::io(Path::new("standard output"), "writing", e))?;
+    Ok(Outcome::Done)
+}
+
+/// Blocks of `region` whose range holds the isovalue, found by halving.
+fn crossed_blocks(field: &dyn Field, part: Box3, iso: f32, budget: &Budget) -> Result<u64> {
+    budget.check_cancelled()?;
+    let domain = field.grid().domain;
+    // Cells reach one sample beyond their own.
+    let range = field.range(part.grow(0, 1).intersect(&domain))?;
+    if part.is_empty() || range.min > iso || range.max < iso {
+        return Ok(0);
+    }
+    let edge = field.block_edge() as i32;
+    let block = |v: i32, a: usize| (v - domain.min[a]).div_euclid(edge);
+    let spans = [0, 1, 2].map(|a| block(part.max[a] - 1, a) - block(part.min[a], a) + 1);
+    let axis = (0..3).max_by_key(|&a| spans[a]).expect("three axes");
+    if spans[axis] == 1 {
+        return Ok(1);
+    }
+    let middle = domain.min[axis] + (block(part.min[axis], axis) + spans[axis] / 2) * edge;
+    let (mut low, mut high) = (part, part);
+    low.max[axis] = middle;
+    high.min[axis] = middle;
+    Ok(crossed_blocks(field, low, iso, budget)? + crossed_blocks(field, high, iso, budget)?)
+}
+
+pub(super) fn inside_name(inside: Inside) -> &'static str {
+    match inside {
+        Inside::Above => "above",
+        Inside::Below => "below",
+    }
+}
