@@ -22,16 +22,8 @@ pub(crate) struct Cli {
 
 #[derive(Subcommand, Debug)]
 pub(crate) enum Command {
-    /// Run the whole pipeline on a real CT scan and on a 1024^3 field, and leave the results
-    Demo(Demo),
-    /// Turn a volume of another format into a .bvol file
-    Import(Import),
-    /// Write a volume, or a region of it, as raw samples, .npy or .nrrd
-    Export(Export),
     /// Say what is in a volume file
     Info(Info),
-    /// Read every byte of a volume file and check every checksum and rule
-    Verify(Verify),
     /// Extract the isosurface of a volume as a closed triangle mesh (.ply, .stl, .obj)
     Mesh(Mesh),
     /// Check a mesh: closed, 2-manifold, oriented, components, genus, area, volume
@@ -333,7 +325,12 @@ pub(crate) struct Slice {
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     pub axis: Axis,
     /// Which slice, by index [default: the middle]
-    #[arg(long, value_name = "N", allow_hyphen_values = true, conflicts_with = "position")]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_hyphen_values = true,
+        conflicts_with = "position"
+    )]
     pub index: Option<i32>,
     /// Which slice, by world coordinate; the nearest one is taken
     #[arg(long, value_name = "W", allow_hyphen_values = true, value_parser = parse::finite)]
@@ -426,9 +423,12 @@ mod tests {
 
     #[test]
     fn negative_numbers_are_values() {
-        let line = "brickmarch mesh a.bvol b.ply --iso -500 --seed -1,2,3 --seed 4,5,6 --roi -3:4,0:1,0:1";
+        let line =
+            "brickmarch mesh a.bvol b.ply --iso -500 --seed -1,2,3 --seed 4,5,6 --roi -3:4,0:1,0:1";
         let cli = Cli::try_parse_from(line.split_whitespace()).expect("parses");
-        let Command::Mesh(mesh) = cli.command else { panic!("mesh") };
+        let Command::Mesh(mesh) = cli.command else {
+            panic!("mesh")
+        };
         assert_eq!(mesh.iso, Some(-500.0));
         assert_eq!(mesh.seed, [[-1, 2, 3], [4, 5, 6]]);
         assert_eq!(mesh.region.roi, Some(Box3::new([-3, 0, 0], [4, 1, 1])));

@@ -110,7 +110,9 @@ fn stop_on_signal(token: CancelToken) {
             token.cancel();
         }
     };
-    let _ = std::thread::Builder::new().name("signals".into()).spawn(listen);
+    let _ = std::thread::Builder::new()
+        .name("signals".into())
+        .spawn(listen);
 }
 
 #[cfg(not(unix))]

@@ -14,7 +14,11 @@ pub(crate) enum Replace {
 
 impl From<&crate::args::Overwrite> for Replace {
     fn from(args: &crate::args::Overwrite) -> Replace {
-        if args.overwrite { Replace::Yes } else { Replace::No }
+        if args.overwrite {
+            Replace::Yes
+        } else {
+            Replace::No
+        }
     }
 }
 
@@ -82,7 +86,8 @@ fn relax_mode(file: &File) {
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
-        let mask = crate::system::status_field("Umask:").and_then(|v| u32::from_str_radix(&v, 8).ok());
+        let mask =
+            crate::system::status_field("Umask:").and_then(|v| u32::from_str_radix(&v, 8).ok());
         let mode = 0o666 & !mask.unwrap_or(0o022);
         // A file system without modes keeps its own.
         let _ = file.set_permissions(std::fs::Permissions::from_mode(mode));

@@ -7,9 +7,12 @@ use std::ops::RangeInclusive;
 /// # Errors
 /// Says how a size is written.
 pub(crate) fn size(text: &str) -> Result<u64, String> {
-    let bad = || format!("'{text}' is not a size: write a number and KiB, MiB or GiB, as in 256MiB");
+    let bad =
+        || format!("'{text}' is not a size: write a number and KiB, MiB or GiB, as in 256MiB");
     let text_ = text.trim();
-    let digits = text_.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text_.len());
+    let digits = text_
+        .find(|c: char| !c.is_ascii_digit() && c != '.')
+        .unwrap_or(text_.len());
     let (number, unit) = text_.split_at(digits);
     let factor: u64 = match unit.trim().to_ascii_lowercase().as_str() {
         "" | "b" => 1,
@@ -56,7 +59,10 @@ pub(crate) fn triple<T: std::str::FromStr>(text: &str) -> Result<[T; 3], String>
 pub(crate) fn dims(text: &str) -> Result<[u32; 3], String> {
     let dims: [u32; 3] = triple(text)?;
     if dims.contains(&0) || dims.iter().any(|&d| d > i32::MAX as u32) {
-        return Err(format!("'{text}': every size must be from 1 to {}", i32::MAX));
+        return Err(format!(
+            "'{text}': every size must be from 1 to {}",
+            i32::MAX
+        ));
     }
     Ok(dims)
 }
@@ -68,7 +74,9 @@ pub(crate) fn dims(text: &str) -> Result<[u32; 3], String> {
 pub(crate) fn spacing(text: &str) -> Result<[f64; 3], String> {
     let spacing: [f64; 3] = triple(text)?;
     if spacing.iter().any(|s| !s.is_finite() || *s == 0.0) {
-        return Err(format!("'{text}': every spacing must be finite and not zero"));
+        return Err(format!(
+            "'{text}': every spacing must be finite and not zero"
+        ));
     }
     Ok(spacing)
 }
@@ -105,7 +113,11 @@ pub(crate) fn window(text: &str) -> Result<(f64, f64), String> {
     let bad = || format!("'{text}' is not a window: write lo:hi with lo < hi, as in -200:300");
     let (low, high) = text.split_once(':').ok_or_else(bad)?;
     let (low, high) = (finite(low)?, finite(high)?);
-    if low < high { Ok((low, high)) } else { Err(bad()) }
+    if low < high {
+        Ok((low, high))
+    } else {
+        Err(bad())
+    }
 }
 
 /// `x0:x1,y0:y1,z0:z1` in world units.
@@ -130,7 +142,11 @@ pub(crate) fn view(text: &str) -> Result<[f64; 2], String> {
     let bad = || format!("'{text}' is not a view: write azimuth,elevation in degrees, as in 30,25");
     let (azimuth, elevation) = text.split_once(',').ok_or_else(bad)?;
     let view = [finite(azimuth)?, finite(elevation)?];
-    if view[1].abs() > 90.0 { Err(bad()) } else { Ok(view) }
+    if view[1].abs() > 90.0 {
+        Err(bad())
+    } else {
+        Ok(view)
+    }
 }
 
 /// `WIDTHxHEIGHT` in pixels.
@@ -139,11 +155,16 @@ pub(crate) fn view(text: &str) -> Result<[f64; 2], String> {
 /// Says how it is written.
 pub(crate) fn pixels(text: &str) -> Result<[u32; 2], String> {
     const SIDE: RangeInclusive<u32> = 16..=8192;
-    let bad = || {
-        format!("'{text}' is not a picture size: write WIDTHxHEIGHT, each from 16 to 8192")
-    };
+    let bad =
+        || format!("'{text}' is not a picture size: write WIDTHxHEIGHT, each from 16 to 8192");
     let (w, h) = text.split_once('x').ok_or_else(bad)?;
-    let side = |t: &str| t.trim().parse().ok().filter(|v| SIDE.contains(v)).ok_or_else(bad);
+    let side = |t: &str| {
+        t.trim()
+            .parse()
+            .ok()
+            .filter(|v| SIDE.contains(v))
+            .ok_or_else(bad)
+    };
     Ok([side(w)?, side(h)?])
 }
 
@@ -172,7 +193,17 @@ mod tests {
         assert_eq!(size("4096"), Ok(4096));
         assert_eq!(size("2kb"), Ok(2000));
         assert_eq!(size("1g"), Ok(1 << 30));
-        for bad in ["", "MiB", "0", "-1", "1XB", "1.2.3MiB", "99999999999999999999GiB", "inf", "1e9"] {
+        for bad in [
+            "",
+            "MiB",
+            "0",
+            "-1",
+            "1XB",
+            "1.2.3MiB",
+            "99999999999999999999GiB",
+            "inf",
+            "1e9",
+        ] {
             assert!(size(bad).is_err(), "{bad}");
         }
     }
@@ -190,7 +221,10 @@ mod tests {
         assert!(spacing("1,nan,1").is_err());
         assert!(spacing("1,0,1").is_err());
         assert_eq!(spacing("1,-1,0.5"), Ok([1.0, -1.0, 0.5]));
-        assert_eq!(world_region("0:1,-2:2,3:4.5"), Ok([[0.0, 1.0], [-2.0, 2.0], [3.0, 4.5]]));
+        assert_eq!(
+            world_region("0:1,-2:2,3:4.5"),
+            Ok([[0.0, 1.0], [-2.0, 2.0], [3.0, 4.5]])
+        );
         assert!(world_region("1:0,0:1,0:1").is_err());
         assert!(world_region("0:1,0:1").is_err());
     }

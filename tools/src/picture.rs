@@ -60,7 +60,10 @@ impl Picture {
 /// # Errors
 /// When the name does not end in .png.
 pub(crate) fn check_png_name(path: &Path) -> Result<()> {
-    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
+    if path
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("png"))
+    {
         return Ok(());
     }
     Err(Error::bad_input(format!(

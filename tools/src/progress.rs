@@ -40,9 +40,15 @@ impl Watcher {
         };
         let thread = match mode {
             ProgressMode::None => None,
-            _ => std::thread::Builder::new().name("progress".into()).spawn(show).ok(),
+            _ => std::thread::Builder::new()
+                .name("progress".into())
+                .spawn(show)
+                .ok(),
         };
-        Watcher { stop: Some(stop), thread }
+        Watcher {
+            stop: Some(stop),
+            thread,
+        }
     }
 }
 
@@ -58,7 +64,10 @@ impl Drop for Watcher {
 
 /// Waits; true when the watcher was dropped.
 fn over(stopped: &mpsc::Receiver<()>, wait: Duration) -> bool {
-    !matches!(stopped.recv_timeout(wait), Err(mpsc::RecvTimeoutError::Timeout))
+    !matches!(
+        stopped.recv_timeout(wait),
+        Err(mpsc::RecvTimeoutError::Timeout)
+    )
 }
 
 fn show_bar(doing: &str, progress: &Arc<Progress>, stopped: &mpsc::Receiver<()>) {

@@ -12,7 +12,11 @@ pub(crate) fn status_field(name: &str) -> Option<String> {
 /// The most memory that was resident at one time, in bytes; unknown outside of Linux.
 pub(crate) fn peak_resident_bytes() -> Option<u64> {
     let kib = status_field("VmHWM:")?;
-    kib.split_whitespace().next()?.parse::<u64>().ok().map(|v| v * 1024)
+    kib.split_whitespace()
+        .next()?
+        .parse::<u64>()
+        .ok()
+        .map(|v| v * 1024)
 }
 
 /// Starts the measurement of [`peak_resident_bytes`] again; false where the system does not allow.

@@ -5,14 +5,15 @@ use brickmarch::{MeshSink, Result};
 
 /// Passes everything on, to each sink in order. A sink that is not to write normals or keys that
 /// another one needs is given a layout without them.
+#[derive(Default)]
 pub(crate) struct Tee<'a> {
     sinks: Vec<(&'a mut dyn MeshSink, Layout)>,
 }
 
 impl<'a> Tee<'a> {
-    /// Sinks, each with what it may carry of what the mesh has.
-    pub(crate) fn new(sinks: Vec<(&'a mut dyn MeshSink, Layout)>) -> Tee<'a> {
-        Tee { sinks }
+    /// Adds a sink, with what it may carry of what the mesh has.
+    pub(crate) fn add(&mut self, sink: &'a mut dyn MeshSink, carries: Layout) {
+        self.sinks.push((sink, carries));
     }
 }
 
@@ -39,10 +40,14 @@ impl MeshSink for Tee<'_> {
     }
 
     fn write(&self, piece: &Piece) -> Result<()> {
-        self.sinks.iter().try_for_each(|(sink, _)| sink.write(piece))
+        self.sinks
+            .iter()
+            .try_for_each(|(sink, _)| sink.write(piece))
     }
 
     fn finish(&mut self, totals: Totals) -> Result<()> {
-        self.sinks.iter_mut().try_for_each(|(sink, _)| sink.finish(totals))
+        self.sinks
+            .iter_mut()
+            .try_for_each(|(sink, _)| sink.finish(totals))
     }
 }

@@ -27,7 +27,11 @@ pub(crate) fn run(args: &Check) -> anyhow::Result<Outcome> {
     if sound {
         return Ok(Outcome::Done);
     }
-    job.note(&format!("{}: {}", args.mesh.display(), faults(&report, args.open_ok)));
+    job.note(&format!(
+        "{}: {}",
+        args.mesh.display(),
+        faults(&report, args.open_ok)
+    ));
     Ok(Outcome::NotWhatWasAsked)
 }
 
@@ -43,9 +47,15 @@ pub(super) fn is_sound(report: &Report, open_ok: bool) -> bool {
 /// What is wrong, in a line.
 fn faults(report: &Report, open_ok: bool) -> String {
     let counts = [
-        (if open_ok { 0 } else { report.border_edges }, "border edges"),
+        (
+            if open_ok { 0 } else { report.border_edges },
+            "border edges",
+        ),
         (report.nonmanifold_edges, "edges of more than two triangles"),
-        (report.misoriented_edges, "edges between triangles that disagree on the outside"),
+        (
+            report.misoriented_edges,
+            "edges between triangles that disagree on the outside",
+        ),
         (report.nonmanifold_vertices, "vertices where sheets touch"),
         (report.nonfinite_vertices, "vertices that are not finite"),
     ];

@@ -1,7 +1,6 @@
 //! `info`: what is in a volume file.
 
-use super::import::short;
-use super::thousands;
+use super::{short, thousands};
 use crate::Outcome;
 use crate::args::Info;
 use crate::job::Job;
@@ -45,22 +44,40 @@ pub(super) fn describe(info: &VolumeInfo, grid: &Grid) -> String {
     let size = info.domain.size();
     let spacing = grid.index_to_world.spacing();
     let unit = unit_text(grid);
-    line("size", format!("{} x {} x {} samples", size[0], size[1], size[2]));
+    line(
+        "size",
+        format!("{} x {} x {} samples", size[0], size[1], size[2]),
+    );
     if info.domain.min != [0; 3] {
         line("domain", info.domain.to_string());
     }
-    line("samples", format!("{}, kind {}", info.sample.name(), info.kind.name()));
-    let nan = if info.range.has_nan { ", some are NaN" } else { "" };
-    line("range", format!("{} to {}{nan}", info.range.min, info.range.max));
+    line(
+        "samples",
+        format!("{}, kind {}", info.sample.name(), info.kind.name()),
+    );
+    let nan = if info.range.has_nan {
+        ", some are NaN"
+    } else {
+        ""
+    };
+    line(
+        "range",
+        format!("{} to {}{nan}", info.range.min, info.range.max),
+    );
     let [dx, dy, dz] = spacing.map(short);
     line("spacing", format!("{dx} x {dy} x {dz}{unit}"));
     let map = grid.index_to_world;
     let [x, y, z] = map.apply(info.domain.min.map(f64::from)).map(short);
     line("first sample", format!("{x}, {y}, {z}{unit}"));
-    let [x, y, z] = map.apply(info.domain.max.map(|v| f64::from(v) - 1.0)).map(short);
+    let [x, y, z] = map
+        .apply(info.domain.max.map(|v| f64::from(v) - 1.0))
+        .map(short);
     line("last sample", format!("{x}, {y}, {z}{unit}"));
     if map.is_left_handed() {
-        line("handedness", "left: meshes are turned so that they face outward".to_string());
+        line(
+            "handedness",
+            "left: meshes are turned so that they face outward".to_string(),
+        );
     }
     line(
         "bricks",
@@ -75,7 +92,11 @@ pub(super) fn describe(info: &VolumeInfo, grid: &Grid) -> String {
     );
     line(
         "index",
-        format!("{} pages on {} levels", thousands(info.pages), info.page_levels),
+        format!(
+            "{} pages on {} levels",
+            thousands(info.pages),
+            info.page_levels
+        ),
     );
     line(
         "bytes",

@@ -16,7 +16,8 @@ pub(crate) fn completions(args: &Completions) -> anyhow::Result<Outcome> {
 
 pub(crate) fn pages(args: &Man) -> anyhow::Result<Outcome> {
     let dir = &args.dir;
-    std::fs::create_dir_all(dir).with_context(|| format!("{}: making the folder", dir.display()))?;
+    std::fs::create_dir_all(dir)
+        .with_context(|| format!("{}: making the folder", dir.display()))?;
     let mut root = Cli::command();
     root.build();
     let mut commands = vec![(String::from("brickmarch"), root.clone())];

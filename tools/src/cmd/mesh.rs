@@ -47,7 +47,11 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
     let took = job.seconds();
     let bytes_in = std::fs::metadata(&args.volume).map(|m| m.len()).ok();
     let bytes_out = std::fs::metadata(&args.out).map(|m| m.len()).ok();
-    let Made { stats, figures, picture_bytes } = made;
+    let Made {
+        stats,
+        figures,
+        picture_bytes,
+    } = made;
     let text = format!(
         "{}: {} triangles, {} vertices, {}, area {:.6}, volume {:.6}, {}, {}, peak {}\n",
         args.out.display(),
@@ -156,7 +160,9 @@ fn cells(args: &Mesh, field: &dyn Field) -> Result<Option<Box3>> {
     if args.region.roi.is_some() {
         return Ok(found);
     }
-    let Some(samples) = found else { return Ok(None) };
+    let Some(samples) = found else {
+        return Ok(None);
+    };
     let cells = Box3::new(samples.min, samples.max.map(|v| v - 1));
     if cells.is_empty() {
         return Err(Error::bad_input(
@@ -223,9 +229,14 @@ pub(super) fn pass(
         normals: true,
         keys: true,
     };
-    let mut sinks = vec![(file, wanted), (&mut tally as &mut dyn MeshSink, all)];
-    sinks.extend(raster.map(|r| (r, all)));
-    let stats = extract(field, options, budget, &mut Tee::new(sinks))?;
+    let mut tee = Tee::default();
+    tee.add(file, wanted);
+    tee.add(&mut tally, all);
+    if let Some(raster) = raster {
+        tee.add(raster, all);
+    }
+    let stats = extract(field, options, budget, &mut tee)?;
+    drop(tee);
     Ok((stats, tally.figures()))
 }
 
@@ -242,7 +253,11 @@ fn open_raster(
         ));
     }
     let domain = field.grid().domain;
-    let region = options.region.unwrap_or(domain).grow(0, 1).intersect(&domain);
+    let region = options
+        .region
+        .unwrap_or(domain)
+        .grow(0, 1)
+        .intersect(&domain);
     let inside = options.inside.unwrap_or(field.kind().inside());
     let bounds = crossing_bounds(field, region, options.iso, inside)?;
     let [width, height] = shot.picture_size;

@@ -1,14 +1,10 @@
 //! The commands, one file each.
 
 pub(crate) mod check;
-pub(crate) mod demo;
-pub(crate) mod export;
-pub(crate) mod import;
 pub(crate) mod info;
 pub(crate) mod manual;
 pub(crate) mod mesh;
 pub(crate) mod slice;
-pub(crate) mod verify;
 
 mod region;
 
@@ -16,7 +12,7 @@ use brickmarch::Error;
 use std::path::Path;
 
 /// Puts the file that an error is about in front of it, unless the message names one of `paths`.
-fn named(paths: &[&Path]) -> impl Fn(Error) -> Error {
+fn named(paths: &[&Path]) -> impl Fn(Error) -> Error + use<> {
     let names: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
     move |error| {
         let message = error.to_string();
@@ -32,7 +28,7 @@ fn thousands(number: u64) -> String {
     let digits = number.to_string();
     let mut out = String::new();
     for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i) % 3 == 0 {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
             out.push(',');
         }
         out.push(digit);
@@ -43,4 +39,10 @@ fn thousands(number: u64) -> String {
 /// A number of seconds as people say it.
 fn seconds(seconds: f64) -> String {
     format!("{seconds:.2} s")
+}
+
+/// At most six digits after the point, without trailing zeros.
+fn short(value: f64) -> String {
+    let text = format!("{value:.6}");
+    text.trim_end_matches('0').trim_end_matches('.').to_string()
 }

@@ -17,7 +17,10 @@ pub(super) fn resolve(region: &Region, grid: &Grid) -> Result<Option<Box3>> {
         }
         return Ok(Some(roi));
     }
-    region.roi_world.map(|world| from_world(world, grid)).transpose()
+    region
+        .roi_world
+        .map(|world| from_world(world, grid))
+        .transpose()
 }
 
 /// Samples whose world position may lie in `world`: the box in index space of its eight corners.

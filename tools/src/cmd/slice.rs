@@ -118,7 +118,10 @@ pub(super) fn draw(
     plane.min[axis] = index;
     plane.max[axis] = index + 1;
     let samples = plane.count();
-    let _permit = budget.take(samples.saturating_mul(8), "the slice (a smaller --roi takes less)")?;
+    let _permit = budget.take(
+        samples.saturating_mul(8),
+        "the slice (a smaller --roi takes less)",
+    )?;
     let mut values = vec![0f32; samples as usize];
     read_by_blocks(field, plane, &mut values, budget)?;
 
@@ -131,7 +134,9 @@ pub(super) fn draw(
     let spacing = field.grid().index_to_world.spacing();
     let fine = spacing[across].min(spacing[down]);
     let pixels = [across, down].map(|a| {
-        (f64::from(plane.size()[a]) * spacing[a] / fine * options.scale).round().max(1.0)
+        (f64::from(plane.size()[a]) * spacing[a] / fine * options.scale)
+            .round()
+            .max(1.0)
     });
     if pixels.iter().any(|&p| p > SIDE_MAX) {
         return Err(Error::bad_input(format!(
@@ -164,20 +169,20 @@ fn read_by_blocks(field: &dyn Field, plane: Box3, out: &mut [f32], budget: &Budg
     let slice = row * plane.size()[1] as usize;
     let origin = field.grid().domain.min;
     // Strips along x: a block row at a time.
-    let next = |at: i32, a: usize| {
-        (origin[a] + ((at - origin[a]) / edge + 1) * edge).min(plane.max[a])
-    };
+    let next =
+        |at: i32, a: usize| (origin[a] + ((at - origin[a]) / edge + 1) * edge).min(plane.max[a]);
     let mut k = plane.min[2];
     while k < plane.max[2] {
         let mut j = plane.min[1];
         while j < plane.max[1] {
             budget.check_cancelled()?;
-            let strip = Box3::new(
-                [plane.min[0], j, k],
-                [plane.max[0], next(j, 1), next(k, 2)],
-            );
+            let strip = Box3::new([plane.min[0], j, k], [plane.max[0], next(j, 1), next(k, 2)]);
             let start = plane.offset_of(strip.min);
-            let mut samples = Samples { values: &mut out[start..], row, slice };
+            let mut samples = Samples {
+                values: &mut out[start..],
+                row,
+                slice,
+            };
             field.read(strip, &mut samples)?;
             j = strip.max[1];
         }
@@ -203,7 +208,11 @@ fn percentiles(values: &[f32]) -> (f64, f64) {
     }
     // Nearly everything has one value: show the rest as well.
     let (min, max) = (at(0.0), at(1.0));
-    if min < max { (min, max) } else { (min - 0.5, min + 0.5) }
+    if min < max {
+        (min, max)
+    } else {
+        (min - 0.5, min + 0.5)
+    }
 }
 
 /// Paints values.
@@ -219,8 +228,7 @@ impl Pen<'_> {
     fn paint(&self, pixels: [u32; 2]) -> Picture {
         let [w, h] = pixels.map(|p| p as usize);
         let grey = self.map == MapName::Grey && self.values.iter().all(|v| !v.is_nan());
-        let mut picture =
-            Picture::with_channels(pixels[0], pixels[1], if grey { 1 } else { 3 });
+        let mut picture = Picture::with_channels(pixels[0], pixels[1], if grey { 1 } else { 3 });
         let channels = picture.channels;
         for (y, row) in picture.bytes.chunks_exact_mut(w * channels).enumerate() {
             let y = if self.up { h - 1 - y } else { y };
@@ -267,7 +275,11 @@ impl Pen<'_> {
         let low = corner(0.0, 0.0) * (1.0 - s) + corner(1.0, 0.0) * s;
         let high = corner(0.0, 1.0) * (1.0 - s) + corner(1.0, 1.0) * s;
         let mixed = low * (1.0 - t) + high * t;
-        if mixed.is_finite() { mixed } else { self.value(u.round(), v.round()) }
+        if mixed.is_finite() {
+            mixed
+        } else {
+            self.value(u.round(), v.round())
+        }
     }
 }
 
@@ -296,8 +308,9 @@ mod tests {
             map: MapName::Grey,
             scale: 2.0,
         };
-        let drawn =
-            draw(&field, field.grid().domain, &options, &Budget::mib(4)).expect("draws").picture;
+        let drawn = draw(&field, field.grid().domain, &options, &Budget::mib(4))
+            .expect("draws")
+            .picture;
         assert_eq!((drawn.width, drawn.height), (80, 40));
         assert_eq!((drawn.bytes[0], drawn.bytes[79]), (0, 255));
         assert!(drawn.bytes[..80].is_sorted());

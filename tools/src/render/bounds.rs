@@ -28,7 +28,11 @@ pub(crate) fn crossing_bounds(
         .map(|c| {
             let index = std::array::from_fn(|a| {
                 let highest = bounds.max[a] - 1;
-                f64::from(if c >> a & 1 == 0 { bounds.min[a] } else { highest })
+                f64::from(if c >> a & 1 == 0 {
+                    bounds.min[a]
+                } else {
+                    highest
+                })
             });
             DVec3::from_array(map.apply(index))
         })
@@ -78,7 +82,9 @@ mod tests {
         let mut values = vec![0.0; 1_000_000];
         values[domain.offset_of([40, 50, 60])] = 1.0;
         let field = Dense::new(Grid::new(domain), values).expect("counts");
-        let corners = crossing_bounds(&field, domain, 0.5, Inside::Above).expect("reads").corners;
+        let corners = crossing_bounds(&field, domain, 0.5, Inside::Above)
+            .expect("reads")
+            .corners;
         let (low, high) = (corners[0], corners[7]);
         assert!(low.cmple(DVec3::new(39.0, 49.0, 59.0)).all());
         assert!(high.cmpge(DVec3::new(41.0, 51.0, 61.0)).all());

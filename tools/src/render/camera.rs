@@ -23,7 +23,10 @@ impl Default for View {
 impl View {
     /// Unit vector from the scene to the eye.
     pub(crate) fn toward_eye(self) -> DVec3 {
-        let (az, el) = (self.azimuth_deg.to_radians(), self.elevation_deg.to_radians());
+        let (az, el) = (
+            self.azimuth_deg.to_radians(),
+            self.elevation_deg.to_radians(),
+        );
         DVec3::new(az.sin() * el.cos(), -az.cos() * el.cos(), el.sin())
     }
 }
@@ -64,7 +67,11 @@ impl Camera {
         margin: f64,
     ) -> Camera {
         let back = toward_eye.normalize();
-        let helper = if back.z.abs() > 0.999 { DVec3::Y } else { DVec3::Z };
+        let helper = if back.z.abs() > 0.999 {
+            DVec3::Y
+        } else {
+            DVec3::Z
+        };
         let right = helper.cross(back).normalize();
         let up = back.cross(right);
         let count = what.corners.len().max(1) as f64;
@@ -138,7 +145,10 @@ impl Camera {
     /// Position in camera space (right, up, back; the eye at the origin) of a pixel and a depth.
     #[inline]
     pub(crate) fn unproject(&self, x: f64, y: f64, depth: f64) -> DVec3 {
-        let (sx, sy) = ((x - self.centre[0]) / self.scale, (self.centre[1] - y) / self.scale);
+        let (sx, sy) = (
+            (x - self.centre[0]) / self.scale,
+            (self.centre[1] - y) / self.scale,
+        );
         if self.perspective {
             let inverse = 1.0 / self.near - depth * (1.0 / self.near - 1.0 / self.far);
             let distance = 1.0 / inverse;
@@ -151,7 +161,11 @@ impl Camera {
 
     /// A direction of the world in camera space.
     pub(crate) fn turn(&self, world: DVec3) -> DVec3 {
-        DVec3::new(world.dot(self.right), world.dot(self.up), world.dot(self.back))
+        DVec3::new(
+            world.dot(self.right),
+            world.dot(self.up),
+            world.dot(self.back),
+        )
     }
 
     /// A direction of camera space in the world.
@@ -200,7 +214,10 @@ mod tests {
         for perspective in [false, true] {
             for azimuth_deg in [0.0, 30.0, 145.0] {
                 for elevation_deg in [-90.0, -20.0, 0.0, 35.0, 90.0] {
-                    let view = View { azimuth_deg, elevation_deg };
+                    let view = View {
+                        azimuth_deg,
+                        elevation_deg,
+                    };
                     let camera =
                         Camera::fit(&cube(), view.toward_eye(), perspective, 400.0, 300.0, 0.05);
                     for p in cube().corners {
@@ -217,7 +234,10 @@ mod tests {
 
     #[test]
     fn the_front_view_has_x_to_the_right_and_z_up() {
-        let view = View { azimuth_deg: 0.0, elevation_deg: 0.0 };
+        let view = View {
+            azimuth_deg: 0.0,
+            elevation_deg: 0.0,
+        };
         let camera = Camera::fit(&cube(), view.toward_eye(), false, 100.0, 100.0, 0.1);
         let [x0, y0, d0] = camera.project(DVec3::ZERO);
         let [x1, y1, _] = camera.project(DVec3::new(1.0, 0.0, 1.0));

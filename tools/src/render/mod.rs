@@ -12,6 +12,8 @@ mod raster;
 mod shade;
 
 pub(crate) use bounds::crossing_bounds;
-pub(crate) use camera::{Camera, View, WorldBox};
+pub(crate) use camera::View;
+#[cfg(test)]
+use camera::WorldBox;
 pub(crate) use raster::Raster;
 pub(crate) use shade::Look;

@@ -86,15 +86,19 @@ impl Raster {
         let lit = project(&self.light);
         for corners in &piece.triangles {
             let [a, b, c] = corners.map(|v| v as usize);
-            cover([seen[a], seen[b], seen[c]], self.size, |at, depth, weights, front| {
-                let cell = &self.pixels[at];
-                if u64::from(depth) > cell.load(Ordering::Relaxed) >> 32 {
-                    return;
-                }
-                let normal = self.normal(piece, [a, b, c], weights, front);
-                let word = u64::from(depth) << 32 | u64::from(pack_normal(normal));
-                cell.fetch_min(word, Ordering::Relaxed);
-            });
+            cover(
+                [seen[a], seen[b], seen[c]],
+                self.size,
+                |at, depth, weights, front| {
+                    let cell = &self.pixels[at];
+                    if u64::from(depth) > cell.load(Ordering::Relaxed) >> 32 {
+                        return;
+                    }
+                    let normal = self.normal(piece, [a, b, c], weights, front);
+                    let word = u64::from(depth) << 32 | u64::from(pack_normal(normal));
+                    cell.fetch_min(word, Ordering::Relaxed);
+                },
+            );
             let edge = [LIGHT_EDGE; 2];
             cover([lit[a], lit[b], lit[c]], edge, |at, depth, _, _| {
                 self.light_depth[at].fetch_min(depth, Ordering::Relaxed);
@@ -149,7 +153,11 @@ impl Spot {
     fn new([x, y, depth]: [f64; 3]) -> Spot {
         // Far outside of any picture, but no overflow in products of two differences.
         let fixed = |v: f64| (v * FIXED).clamp(-1e8, 1e8) as i64;
-        Spot { x: fixed(x), y: fixed(y), depth }
+        Spot {
+            x: fixed(x),
+            y: fixed(y),
+            depth,
+        }
     }
 }
 
@@ -165,9 +173,16 @@ fn cover(
     let step = FIXED as i64;
     let range = |v: [i64; 3], limit: usize| {
         let low = v.into_iter().min().expect("three").max(0);
-        let high = v.into_iter().max().expect("three").min(limit as i64 * step - 1);
+        let high = v
+            .into_iter()
+            .max()
+            .expect("three")
+            .min(limit as i64 * step - 1);
         // First and last pixel whose centre is in low..=high.
-        ((low + half - 1).div_euclid(step), (high - half).div_euclid(step))
+        (
+            (low + half - 1).div_euclid(step),
+            (high - half).div_euclid(step),
+        )
     };
     let (x0, x1) = range(spots.map(|s| s.x), size[0]);
     let (y0, y1) = range(spots.map(|s| s.y), size[1]);
@@ -210,7 +225,10 @@ fn pack_normal(n: Vec3) -> u32 {
     let n = n / (n.x.abs() + n.y.abs() + n.z.abs());
     let (mut u, mut v) = (n.x, n.y);
     if n.z < 0.0 {
-        (u, v) = ((1.0 - n.y.abs()) * n.x.signum(), (1.0 - n.x.abs()) * n.y.signum());
+        (u, v) = (
+            (1.0 - n.y.abs()) * n.x.signum(),
+            (1.0 - n.x.abs()) * n.y.signum(),
+        );
     }
     let bits = |t: f32| ((t * 0.5 + 0.5) * 65535.0 + 0.5) as u32;
     bits(u) << 16 | bits(v)
@@ -221,7 +239,11 @@ fn unpack_normal(word: u32) -> Vec3 {
     let (u, v) = (part(word >> 16), part(word & 0xffff));
     let mut n = Vec3::new(u, v, 1.0 - u.abs() - v.abs());
     if n.z < 0.0 {
-        n = Vec3::new((1.0 - v.abs()) * u.signum(), (1.0 - u.abs()) * v.signum(), n.z);
+        n = Vec3::new(
+            (1.0 - v.abs()) * u.signum(),
+            (1.0 - u.abs()) * v.signum(),
+            n.z,
+        );
     }
     n.normalize_or(Vec3::Z)
 }
@@ -242,7 +264,12 @@ mod tests {
     #[test]
     fn two_triangles_cover_a_square_without_gap() {
         let spot = |x: f64, y: f64| Spot::new([x, y, 0.5]);
-        let corners = [spot(2.3, 1.1), spot(17.9, 3.2), spot(15.2, 18.8), spot(1.7, 14.4)];
+        let corners = [
+            spot(2.3, 1.1),
+            spot(17.9, 3.2),
+            spot(15.2, 18.8),
+            spot(1.7, 14.4),
+        ];
         let mut hits = vec![0; 400];
         for t in [[0, 1, 2], [0, 2, 3]] {
             cover(t.map(|i: usize| corners[i]), [20, 20], |at, _, w, front| {

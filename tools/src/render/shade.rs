@@ -2,7 +2,7 @@
 //! hollows, all in camera space, so that every object is lit as in a studio.
 
 use super::camera::View;
-use super::raster::{EMPTY, Raster, SUPER};
+use super::raster::{Raster, SUPER};
 use crate::picture::Picture;
 use brickmarch::{Budget, Result};
 use glam::{DVec3, Vec3};
@@ -160,7 +160,13 @@ impl Raster {
         let behind = (normal.dot(rim) + 0.35).max(0.0);
         colour += Vec3::new(0.20, 0.23, 0.26) * (grazing * behind * hollow * hollow);
         // Light that passes 1 bends over instead of clipping.
-        colour.map(|v| if v > 0.7 { 0.7 + 0.3 * (1.0 - (-(v - 0.7) / 0.3).exp()) } else { v })
+        colour.map(|v| {
+            if v > 0.7 {
+                0.7 + 0.3 * (1.0 - (-(v - 0.7) / 0.3).exp())
+            } else {
+                v
+            }
+        })
     }
 
     /// The openness averaged over one turn of the pattern, on the same surface only.
@@ -193,7 +199,9 @@ impl Raster {
     /// Samples that show the surface.
     #[cfg(test)]
     pub(super) fn covered(&self) -> usize {
-        let seen = |p: &&std::sync::atomic::AtomicU64| p.load(Ordering::Relaxed) != EMPTY;
+        let seen = |p: &&std::sync::atomic::AtomicU64| {
+            p.load(Ordering::Relaxed) != crate::render::raster::EMPTY
+        };
         self.pixels.iter().filter(seen).count()
     }
 }
@@ -261,7 +269,11 @@ fn from_srgb(colour: [u8; 3]) -> Vec3 {
 fn to_srgb(linear: Vec3) -> [u8; 3] {
     linear.to_array().map(|v| {
         let v = v.clamp(0.0, 1.0);
-        let s = if v < 0.003_130_8 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+        let s = if v < 0.003_130_8 {
+            v * 12.92
+        } else {
+            1.055 * v.powf(1.0 / 2.4) - 0.055
+        };
         (s * 255.0 + 0.5) as u8
     })
 }
@@ -280,7 +292,11 @@ mod tests {
                 f64::from(i) / 64.0 * std::f64::consts::TAU,
                 f64::from(j) / 32.0 * std::f64::consts::PI,
             );
-            [(a.cos() * b.sin()) as f32, (a.sin() * b.sin()) as f32, b.cos() as f32]
+            [
+                (a.cos() * b.sin()) as f32,
+                (a.sin() * b.sin()) as f32,
+                b.cos() as f32,
+            ]
         };
         let half = |from: u32, to: u32| {
             let mut piece = Piece::default();
@@ -290,7 +306,9 @@ mod tests {
                     for (di, dj) in [(0, 0), (0, 1), (1, 1), (1, 0)] {
                         piece.positions.push(point(i + di, j + dj));
                     }
-                    piece.triangles.extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
+                    piece
+                        .triangles
+                        .extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
                 }
             }
             piece.normals = piece.positions.clone();
@@ -303,7 +321,11 @@ mod tests {
         let corners = (0..8)
             .map(|c| DVec3::from([0, 1, 2].map(|a| f64::from((c >> a & 1) * 2 - 1))))
             .collect();
-        let look = Look { width: 80, height: 60, ..Look::default() };
+        let look = Look {
+            width: 80,
+            height: 60,
+            ..Look::default()
+        };
         let budget = Budget::mib(64).with_threads(threads);
         let mut raster = Raster::new(&look, &WorldBox { corners }, &budget).expect("fits");
         let pieces = sphere();
