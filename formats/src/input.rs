@@ -43,7 +43,7 @@ pub(crate) struct Input {
 
 enum Stream {
     Plain(BufReader<File>),
-    Gzip(BufReader<Members<BufReader<File>>>),
+    Gzip(Box<BufReader<Members<BufReader<File>>>>),
 }
 
 impl Input {
@@ -75,7 +75,7 @@ impl Input {
         // A damaged stream shows itself again, with a message, when the header is read.
         let _ = first.by_ref().take(HEAD_BYTES).read_to_end(&mut head);
         let late = LateNotes::default();
-        let stream = Stream::Gzip(unwrap(open_file(path)?.0, path, &late));
+        let stream = Stream::Gzip(Box::new(unwrap(open_file(path)?.0, path, &late)));
         Ok(Input {
             path: path.to_owned(),
             head,
@@ -228,20 +228,16 @@ fn unwrap(file: File, path: &Path, late: &LateNotes) -> BufReader<Members<BufRea
 /// All members of a gzip stream, one after the other. Bytes behind the last member that are not
 /// gzip are ignored with a note, as `gzip` does.
 pub(crate) struct Members<R> {
-    state: State<R>,
+    /// `None` behind the last.
+    member: Option<GzDecoder<R>>,
     path: PathBuf,
     late: LateNotes,
-}
-
-enum State<R> {
-    Inside(GzDecoder<R>),
-    Done,
 }
 
 impl<R: BufRead> Members<R> {
     pub(crate) fn new(inner: R, path: &Path, late: &LateNotes) -> Self {
         Self {
-            state: State::Inside(GzDecoder::new(inner)),
+            member: Some(GzDecoder::new(inner)),
             path: path.to_owned(),
             late: late.clone(),
         }
@@ -254,7 +250,7 @@ impl<R: BufRead> Read for Members<R> {
             return Ok(0);
         }
         loop {
-            let State::Inside(member) = &mut self.state else {
+            let Some(member) = &mut self.member else {
                 return Ok(0);
             };
             let n = member.read(out)?;
@@ -270,11 +266,9 @@ impl<R: BufRead> Read for Members<R> {
                     self.path.display()
                 ));
             }
-            let State::Inside(member) = std::mem::replace(&mut self.state, State::Done) else {
-                return Ok(0);
-            };
+            let ended = self.member.take();
             if another {
-                self.state = State::Inside(GzDecoder::new(member.into_inner()));
+                self.member = ended.map(|member| GzDecoder::new(member.into_inner()));
             }
         }
     }

@@ -1,6 +1,7 @@
 //! File formats: volumes in ([`open_volume`]) and out, meshes in and out.
 
 mod aside;
+mod export;
 mod input;
 pub mod limits;
 mod lines;
@@ -23,6 +24,7 @@ mod stl;
 mod stl_read;
 mod text;
 mod volume;
+mod world;
 
 #[cfg(test)]
 mod mesh_read_tests;
@@ -31,6 +33,7 @@ mod shared_data;
 #[cfg(test)]
 mod testing;
 
+pub use export::{Export, Exported, export_volume};
 pub use loaded::Loaded;
 pub use mesh_file::{create_mesh_sink, read_mesh};
 pub use raw::RawLayout;

@@ -8,6 +8,7 @@ use crate::limits::{bad, domain, surplus, unsupported};
 use crate::samples::{Encoding, Stored, Surplus, not_scalar};
 use crate::text::{TextSamples, exactly, numbers, shorten};
 use crate::volume::Source;
+use crate::world::{LPS, phrase};
 use brickmarch::{Affine, Error, Grid, Result, Units};
 use flate2::bufread::ZlibDecoder;
 use std::collections::BTreeMap;
@@ -47,7 +48,7 @@ pub(crate) fn open(mut input: Input) -> Result<Source> {
         surplus: Surplus::Note,
     };
     let description = format!(
-        "MetaImage {}{}{}, world is LPS",
+        "MetaImage {}{}{}, {}",
         stored.name(),
         if encoding.big_endian {
             " big-endian"
@@ -55,6 +56,7 @@ pub(crate) fn open(mut input: Input) -> Result<Source> {
             ""
         },
         if compressed { ", compressed" } else { "" },
+        phrase(LPS),
     );
     let mut data = match header.data_file()? {
         Some(file) => Input::open_plain(&file)

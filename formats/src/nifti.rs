@@ -9,6 +9,7 @@ use crate::limits::{bad, domain, unsupported};
 use crate::nifti_header::{Header, is_nifti};
 use crate::samples::{Encoding, Stored, Surplus, not_scalar};
 use crate::volume::{Source, extension};
+use crate::world::{RAS, phrase};
 use brickmarch::{Affine, Error, Grid, Result, Units};
 use std::path::{Path, PathBuf};
 
@@ -48,10 +49,11 @@ pub(crate) fn open(input: Input, volume: Option<u32>) -> Result<Source> {
         },
     };
     let mut description = format!(
-        "NIfTI-{} {}{}, world is RAS+ by {place}",
+        "NIfTI-{} {}{}, {} by {place}",
         header.version,
         stored.name(),
         if header.big_endian { " big-endian" } else { "" },
+        phrase(RAS),
     );
     if let Some((slope, intercept)) = scale {
         description += &format!(", value = {slope} * stored + {intercept}");

@@ -52,7 +52,7 @@ pub(crate) fn open(mut input: Input) -> Result<Source> {
         surplus: Surplus::Note,
     };
     let description = format!(
-        "NumPy array {} in {} order, world is index space",
+        "NumPy array {} in {} order, index space",
         header.descr,
         if header.fortran { "Fortran" } else { "C" }
     );

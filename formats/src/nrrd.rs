@@ -9,6 +9,7 @@ use crate::nrrd_geometry::geometry;
 use crate::samples::{Encoding, Stored, Surplus, not_scalar};
 use crate::text::{TextSamples, numbers, shorten};
 use crate::volume::Source;
+use crate::world::phrase;
 use brickmarch::{Error, ErrorKind, Result};
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -19,13 +20,34 @@ pub(crate) const MAGIC: &[u8] = b"NRRD000";
 /// Key of the sample type that the exporter adds where NRRD has none, as for bits.
 pub(crate) const SAMPLE_KEY: &str = "brickmarch sample";
 
+/// Keys of the kind and the background of a volume, which the exporter adds.
+pub(crate) const KIND_KEY: &str = "brickmarch kind";
+pub(crate) const BACKGROUND_KEY: &str = "brickmarch background";
+
 pub(crate) fn open(mut input: Input) -> Result<Source> {
     let header = Header::read(&mut input)?;
+    let mut source = samples(&header, input)?;
+    // What another program wrote there does not stop the import.
+    let key = |name: &str| header.keys.get(name).map(|v| v.trim());
+    if let Some(kind) = key(KIND_KEY).and_then(|v| v.parse().ok()) {
+        source.kind = kind;
+    }
+    if let Some(background) = key(BACKGROUND_KEY).and_then(|v| v.parse().ok()) {
+        let mut raw = [0; 4];
+        source.sample.put(background, &mut raw);
+        if source.sample.get(&raw) == background {
+            source.background = background;
+        }
+    }
+    Ok(source)
+}
+
+fn samples(header: &Header, input: Input) -> Result<Source> {
     let path = header.path.clone();
     let stored = header.stored()?;
     let axes = header.axes()?;
     let domain = domain(&path, axes.sizes, stored.bytes())?;
-    let (index_to_world, units, mut notes) = geometry(&header, &axes)?;
+    let (index_to_world, units, mut notes) = geometry(header, &axes)?;
     let grid = brickmarch::Grid {
         domain,
         index_to_world,
@@ -39,16 +61,14 @@ pub(crate) fn open(mut input: Input) -> Result<Source> {
         surplus: Surplus::Note,
     };
     let description = format!(
-        "NRRD {}{}, {coding}, world is {}",
+        "NRRD {}{}, {coding}, {}",
         stored.name(),
         if encoding.big_endian {
             " big-endian"
         } else {
             ""
         },
-        header
-            .get("space")
-            .map_or("as the axes lie".into(), shorten)
+        phrase(&shorten(header.get("space").unwrap_or("as the axes lie")))
     );
 
     let skip_lines = header.count("line skip")?.unwrap_or(0);

@@ -72,7 +72,7 @@ pub(crate) fn open(path: &Path, layout: &RawLayout) -> Result<Source> {
         (_, false) => " little-endian",
     };
     let description = format!(
-        "raw samples, {}{endian}, offset {}, x right y up z as counted",
+        "raw samples, {}{endian}, offset {}, index space times spacing",
         layout.sample.name(),
         layout.offset
     );

@@ -6,6 +6,7 @@ use crate::raw::RawLayout;
 use crate::samples::{Encoding, SampleReader, Surplus};
 use crate::{metaimage, nifti, npy, nrrd, raw};
 use brickmarch::lattice::Grid;
+use brickmarch::store::VolumeSpec;
 use brickmarch::{Kind, Result, SampleType};
 use std::io::Read;
 use std::path::Path;
@@ -214,6 +215,17 @@ impl Source {
             notes,
             late: late.clone(),
         })
+    }
+
+    /// What a volume file of this source is: its `history` is the description.
+    pub fn spec(&self, brick_edge: u32) -> VolumeSpec {
+        VolumeSpec {
+            kind: self.kind,
+            background: self.background,
+            brick_edge,
+            history: self.description.clone(),
+            ..VolumeSpec::new(self.grid, self.sample)
+        }
     }
 
     /// Notes that reading the samples brought up, as bytes behind compressed data. Complete when
