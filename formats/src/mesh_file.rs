@@ -70,7 +70,7 @@ pub fn create_mesh_sink(path: &Path, overwrite: bool) -> Result<Box<dyn MeshSink
 ///
 /// # Memory
 /// 12 B a vertex (more with normals and keys) and 12 B a triangle from PLY; while reading, 108 B a triangle from STL and some 500 B a
-/// triangle from OBJ. All under permits of `budget`; what the mesh takes stays in the result.
+/// triangle from OBJ with polygons, groups or textures. All under permits of `budget`; what the mesh takes stays in the result.
 pub fn read_mesh(path: &Path, budget: &Budget) -> Result<Loaded> {
     let format = Format::of(path)?;
     let input = Input::open(path, budget)?;

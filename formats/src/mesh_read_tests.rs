@@ -305,6 +305,7 @@ fn obj_with_everything_around_the_mesh() {
 #[test]
 fn every_number_of_obj_vertices_keeps_its_order() {
     for n in (0..200).chain([1000, 4095, 4096]) {
+        let rich = if n % 2 == 0 { "" } else { "g rich\n" };
         let mesh = Mesh {
             positions: (0..n).map(|i| [i as f32, 0.0, 1.0]).collect(),
             triangles: if n > 2 {
@@ -314,9 +315,28 @@ fn every_number_of_obj_vertices_keeps_its_order() {
             },
             ..Mesh::default()
         };
-        let back = read("a.obj", &written("a.obj", &mesh)).expect("reads");
+        let mut text = written("a.obj", &mesh);
+        text.extend(rich.bytes());
+        let back = read("a.obj", &text).expect("reads");
         assert_eq!(*back, mesh, "{n} vertices");
     }
+}
+
+#[test]
+fn plain_and_rich_obj_are_the_same_mesh() {
+    let mesh = octahedron(true, false);
+    let plain = written("a.obj", &mesh);
+    let mut rich = plain.clone();
+    rich.extend(b"g more\n");
+    let (small, large) = (Budget::mib(16), Budget::mib(16));
+    let first = read_under("a.obj", &plain, &small).expect("reads");
+    let second = read_under("a.obj", &rich, &large).expect("reads");
+    assert_eq!(*first, *second);
+    assert!(small.peak_bytes() < large.peak_bytes());
+    // Numbers from the end, as a plain file may have them too.
+    let text = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 0 0 1\nf -4 -2/7 -1//1\n";
+    let back = read("a.obj", text).expect("reads");
+    assert_eq!(back.triangles, [[0, 1, 2], [0, 2, 3]]);
 }
 
 #[test]
@@ -324,6 +344,9 @@ fn obj_errors_name_the_line() {
     for (text, line) in [
         ("v 0 0\n", "line 1"),
         ("v 0 0 x\n", "line 1"),
+        ("v 0 0 x 1 1 1\n", "line 1"),
+        ("v 0 0 0\nf 1 1 2\n", "line 2"),
+        ("v 0 0 0\nf 1 1 1 2\n", "line 2"),
         ("v 0 0 0 0\n", "line 1"),
         ("v 0 0 0\nv 1 0 \\\n0\nf 1 2 3\n", "line 4"),
         ("v 0 0 0\nf 1 1 0\n", "line 2"),

@@ -1,9 +1,10 @@
 //! OBJ into a mesh in memory: positions and faces, everything else is passed over.
 //!
-//! The parser crate starts a new mesh at every group and material, which would cut a closed
-//! surface along them, and forgets vertices that no face uses. So it gets only `v` and `f` lines,
-//! checked and reduced to positions, and before them polygons that name every vertex once in order;
-//! the triangles of those are dropped again.
+//! Files of nothing but triangles, such as ours, are read directly, in the memory of the mesh. All
+//! others go through a parser crate, which takes ten times as much. It starts a new mesh at every
+//! group and material, which would cut a closed surface along them, and forgets vertices that no
+//! face uses. So it gets only `v` and `f` lines, checked and reduced to positions, and before them
+//! polygons that name every vertex once in order; the triangles of those are dropped again.
 
 use crate::lines::{Rewrite, next_line};
 use crate::loaded::{Input, Loaded};
@@ -19,19 +20,78 @@ struct Counts {
     vertices: u64,
     faces: u64,
     corners: u64,
+    /// Whether there is a line that is more than a plain vertex, normal or triangle.
+    rich: bool,
 }
 
 pub(crate) fn read_obj(mut input: Input) -> Result<Loaded> {
     let counts = count(&input)?;
     let vertices = input.vertex_count(counts.vertices)?;
+    input.file.rewind().map_err(|e| input.io(e))?;
+    if counts.rich {
+        read_rich(&input, &counts, vertices)
+    } else {
+        read_plain(&input, &counts, vertices)
+    }
+}
+
+fn read_plain(input: &Input, counts: &Counts, vertices: usize) -> Result<Loaded> {
+    let permit = input.take(12 * (counts.vertices + counts.faces) + (1 << 16))?;
+    let mut mesh = Mesh::default();
+    mesh.positions.reserve_exact(vertices);
+    mesh.triangles.reserve_exact(counts.faces as usize);
+    let mut source = BufReader::with_capacity(1 << 16, &input.file);
+    let (mut line, mut number) = (Vec::new(), 0);
+    loop {
+        let count = next_line(&mut source, &mut line).map_err(|e| input.io(e))?;
+        if count == 0 {
+            break;
+        }
+        let failed = |what: String| input.damaged(format_args!("line {}: {what}", number + 1));
+        let text = std::str::from_utf8(&line).unwrap_or("#");
+        let mut words = text.split_ascii_whitespace();
+        match words.next() {
+            Some("v") => {
+                let mut point = [0.0; 3];
+                for (value, word) in point.iter_mut().zip(words) {
+                    *value = coordinate(word).map_err(failed)?;
+                }
+                mesh.positions.push(point);
+            }
+            Some("f") => {
+                let mut triangle = [0; 3];
+                for (corner, word) in triangle.iter_mut().zip(words) {
+                    let seen = mesh.positions.len() as u64;
+                    let found = corner_number(word, seen, counts.vertices).map_err(failed)?;
+                    *corner = (found - 1) as u32;
+                }
+                mesh.triangles.push(triangle);
+            }
+            _ => {}
+        }
+        if number % 65_536 == 0 {
+            input.budget.check_cancelled()?;
+        }
+        number += count;
+        let beyond = mesh.positions.len() > vertices || mesh.triangles.len() as u64 > counts.faces;
+        if beyond {
+            return Err(changed(input));
+        }
+    }
+    if mesh.positions.len() != vertices || mesh.triangles.len() as u64 != counts.faces {
+        return Err(changed(input));
+    }
+    Ok(Loaded::new(mesh, permit))
+}
+
+fn read_rich(input: &Input, counts: &Counts, vertices: usize) -> Result<Loaded> {
     if counts.vertices > 1 << 31 {
         return Err(input.error(
             ErrorKind::LimitExceeded,
-            "more than 2^31 vertices cannot be read from OBJ; use PLY",
+            "more than 2^31 vertices cannot be read from OBJ with polygons; use PLY",
         ));
     }
-    let mut permit = input.take(bytes(&counts))?;
-    input.file.rewind().map_err(|e| input.io(e))?;
+    let mut permit = input.take(bytes(counts))?;
     let mut seen = 0;
     let rewrite = |line: Option<(u64, &str)>, out: &mut Vec<u8>| {
         let Some((number, text)) = line else {
@@ -74,7 +134,7 @@ pub(crate) fn read_obj(mut input: Input) -> Result<Loaded> {
     let (positions, _) = parsed.positions.as_chunks::<3>();
     let (triangles, _) = parsed.indices[roll.min(parsed.indices.len())..].as_chunks::<3>();
     if positions.len() != vertices {
-        return Err(changed(&input));
+        return Err(changed(input));
     }
     let mesh = Mesh {
         positions: positions.to_vec(),
@@ -103,14 +163,21 @@ fn count(input: &Input) -> Result<Counts> {
         let mut words = line
             .split(|b| b.is_ascii_whitespace())
             .filter(|w| !w.is_empty());
-        match words.next() {
+        let word = words.next();
+        if word.is_none_or(|w| w.starts_with(b"#")) {
+            continue;
+        }
+        let further = words.count() as u64;
+        match word {
             Some(b"v") => counts.vertices += 1,
             Some(b"f") => {
                 counts.faces += 1;
-                counts.corners += words.count() as u64;
+                counts.corners += further;
             }
-            _ => {}
+            Some(b"vn") => {}
+            _ => counts.rich = true,
         }
+        counts.rich |= further != 3 || !line.is_ascii();
     }
     Ok(counts)
 }
@@ -120,7 +187,7 @@ fn bytes(counts: &Counts) -> u64 {
     let faces = counts.faces + counts.vertices / ROLL + 1;
     let triangles = counts.corners.saturating_sub(2 * counts.faces);
     let lists = 3 * (2 * 12 * counts.vertices + 104 * faces + 12 * (triangles + counts.vertices));
-    let polygons = 24 * (counts.vertices + counts.corners);
+    let polygons = 24 * (counts.vertices + counts.corners) + 12 * counts.vertices;
     let map = 64 * counts.vertices;
     let result = 12 * (counts.vertices + triangles);
     lists + polygons + map + result + (1 << 20)
@@ -157,10 +224,7 @@ fn put_vertex<'a>(words: impl Iterator<Item = &'a str>, out: &mut Vec<u8>) -> Re
         return Err("a vertex with fewer than three coordinates".to_owned());
     }
     for (i, word) in words[..kept].iter().enumerate() {
-        let value: f32 = word
-            .parse()
-            .map_err(|_| format!("{word:?} is no coordinate"))?;
-        if i == 3 && value == 0.0 {
+        if coordinate(word)? == 0.0 && i == 3 {
             return Err("a vertex of weight zero".to_owned());
         }
         put(out, format_args!(" {word}"));
@@ -182,18 +246,7 @@ fn put_face<'a>(
         if word.starts_with('#') {
             break;
         }
-        let text = word.split('/').next().unwrap_or_default();
-        let number: i64 = text
-            .parse()
-            .map_err(|_| format!("{word:?} is no corner of a face"))?;
-        let absolute = if number < 0 {
-            (seen as i64).saturating_add(number).saturating_add(1)
-        } else {
-            number
-        };
-        if absolute < 1 || absolute as u64 > vertices {
-            return Err(format!("vertex {number} of {vertices} does not exist"));
-        }
+        let absolute = corner_number(word, seen, vertices)?;
         put(out, format_args!(" {absolute}"));
         corners += 1;
     }
@@ -202,4 +255,26 @@ fn put_face<'a>(
     }
     out.push(b'\n');
     Ok(())
+}
+
+fn coordinate(word: &str) -> Result<f32, String> {
+    word.parse()
+        .map_err(|_| format!("{word:?} is no coordinate"))
+}
+
+/// The vertex that a corner names, counted from 1.
+fn corner_number(word: &str, seen: u64, vertices: u64) -> Result<u64, String> {
+    let text = word.split('/').next().unwrap_or_default();
+    let number: i64 = text
+        .parse()
+        .map_err(|_| format!("{word:?} is no corner of a face"))?;
+    let absolute = if number < 0 {
+        (seen as i64).saturating_add(number).saturating_add(1)
+    } else {
+        number
+    };
+    if absolute < 1 || absolute as u64 > vertices {
+        return Err(format!("vertex {number} of {vertices} does not exist"));
+    }
+    Ok(absolute as u64)
 }
