@@ -372,7 +372,8 @@ impl Block {
                     out.interior_vertices += 1;
                 }
                 for t in entry.triangles() {
-                    piece.triangles[written] = t.map(|v| ids[usize::from(v & 15)]);
+                    let id = |k: usize| ids[usize::from(t[k] & 15)];
+                    piece.triangles[written] = [id(0), id(1), id(2)];
                     written += 1;
                 }
             }
@@ -444,9 +445,11 @@ impl RowNumbers {
     #[inline(always)]
     fn of_cell(&self, x: u32) -> [u32; 16] {
         let low = below(x);
-        let rank = self
-            .0
-            .map(|(crossed, base)| base + (crossed & low).count_ones());
+        // A plain loop: array::map is not inlined into code for newer instructions.
+        let mut rank = [0u32; 8];
+        for (rank, (crossed, base)) in rank.iter_mut().zip(&self.0) {
+            *rank = base + (crossed & low).count_ones();
+        }
         // The edge at x + 1 follows the one at x where that is crossed.
         let next = |i: usize| rank[i] + (self.0[i].0 >> x & 1) as u32;
         [

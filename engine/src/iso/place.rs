@@ -72,9 +72,9 @@ impl Placement {
     /// World position of the lattice point (0, j, k).
     #[inline(always)]
     pub(super) fn row(&self, j: i32, k: i32) -> [f64; 3] {
-        self.map
-            .rows
-            .map(|r| r[1] * f64::from(j) + (r[2] * f64::from(k) + r[3]))
+        let rows = &self.map.rows;
+        let at = |a: usize| rows[a][1] * f64::from(j) + (rows[a][2] * f64::from(k) + rows[a][3]);
+        [at(0), at(1), at(2)]
     }
 
     /// World position of the point at `t` on the edge along `axis` from point `i` of a row.
