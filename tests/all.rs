@@ -7,3 +7,4 @@ mod architecture;
 mod extraction;
 mod reference;
 mod support;
+mod volume;

@@ -15,7 +15,7 @@ use brickmarch::mesh::Collect;
 use brickmarch::{Box3, Budget, Field, Grid, Mesh};
 
 /// Extracts into memory, with keys and in index space.
-fn mesh_of(
+pub(crate) fn mesh_of(
     field: &dyn Field,
     options: &Extract,
     budget: &Budget,
@@ -33,7 +33,7 @@ fn mesh_of(
 }
 
 /// A dense field with blocks of `edge`.
-fn dense(domain: Box3, values: Vec<f32>, edge: u32) -> Dense {
+pub(crate) fn dense(domain: Box3, values: Vec<f32>, edge: u32) -> Dense {
     let mut field = Dense::new(Grid::new(domain), values).expect("sizes match");
     field.block_edge = edge;
     field
