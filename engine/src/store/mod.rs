@@ -7,10 +7,14 @@
 pub mod cache;
 mod catalog;
 mod codec;
+mod crew;
 mod filter;
+mod import;
 mod label;
 mod layout;
 mod log;
+#[cfg(test)]
+mod measure;
 mod meta;
 mod open;
 mod page;
@@ -21,11 +25,16 @@ mod storage;
 mod tests;
 mod tree;
 mod value;
+mod verify;
 mod volume;
+mod write_field;
 mod writer;
 
+pub use import::import_stream;
 pub use label::LabelField;
 pub use spec::{VolumeInfo, VolumeSpec, default_brick_edge};
 pub use storage::{FileStorage, MemoryStorage, Storage};
+pub use verify::{MAX_PROBLEMS, Problem, Report, verify, verify_in};
 pub use volume::Volume;
+pub use write_field::write_field;
 pub use writer::VolumeWriter;

@@ -2,7 +2,7 @@
 
 use super::catalog::{Counts, Entry, encode_attributes, encode_catalog};
 use super::codec::{Encoder, encoder_bytes, pack_bits};
-use super::layout::{FILE_ID_BYTES, RECORD_HEADER, brick_bytes};
+use super::layout::{FILE_ID_BYTES, RECORD_HEADER, brick_bytes, record_bytes};
 use super::log::Log;
 use super::meta;
 use super::page::PageRules;
@@ -49,7 +49,7 @@ pub struct VolumeWriter {
 }
 
 /// The temporary file; removed when dropped.
-struct Aside {
+pub(crate) struct Aside {
     path: PathBuf,
     renamed: bool,
 }
@@ -60,6 +60,12 @@ impl Drop for Aside {
             // Nothing can be done about a failure here; the name says that it is temporary.
             let _ = std::fs::remove_file(&self.path);
         }
+    }
+}
+
+impl Aside {
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
     }
 }
 
@@ -246,13 +252,26 @@ impl VolumeWriter {
             .push(encoder);
     }
 
+    /// Bytes that [`new_encoder`](Self::new_encoder) takes from the budget.
+    pub(crate) fn encoder_charge(&self, bricks: u64) -> u64 {
+        let (sample, edge) = (self.spec.sample, self.spec.brick_edge);
+        let raw = u64::from(edge).pow(3) * sample.bytes() as u64;
+        encoder_bytes(sample, edge) + 2 * raw + self.batch_bytes(bricks)
+    }
+
+    fn batch_bytes(&self, bricks: u64) -> u64 {
+        bricks * record_bytes(brick_bytes(self.spec.sample, self.spec.brick_edge) as u32) + 64
+    }
+
+    pub(crate) fn background_bits(&self) -> u32 {
+        self.background
+    }
+
     /// Buffers for batches of `bricks` bricks.
     pub(crate) fn new_encoder(&self, bricks: u64) -> Result<BrickEncoder> {
-        let raw = u64::from(self.spec.brick_edge).pow(3) * self.spec.sample.bytes() as u64;
-        let out =
-            bricks * (brick_bytes(self.spec.sample, self.spec.brick_edge) + RECORD_HEADER) as u64;
-        let bytes = encoder_bytes(self.spec.sample, self.spec.brick_edge) + 2 * raw + out;
-        let permit = self.budget.take(bytes, "compressing bricks")?;
+        let permit = self
+            .budget
+            .take(self.encoder_charge(bricks), "compressing bricks")?;
         let mut encoder = BrickEncoder {
             encoder: Encoder::default(),
             padded: Vec::new(),
@@ -260,7 +279,10 @@ impl VolumeWriter {
             batch: Batch::default(),
             _permit: permit,
         };
-        encoder.batch.bytes.reserve_exact(out as usize);
+        encoder
+            .batch
+            .bytes
+            .reserve_exact(self.batch_bytes(bricks) as usize);
         Ok(encoder)
     }
 
@@ -550,7 +572,7 @@ fn file_id(spec: &VolumeSpec) -> [u8; FILE_ID_BYTES] {
     id
 }
 
-fn create_aside(path: &Path) -> Result<(File, Aside)> {
+pub(crate) fn create_aside(path: &Path) -> Result<(File, Aside)> {
     let name = path
         .file_name()
         .ok_or_else(|| Error::bad_input(format!("{}: not the name of a file", path.display())))?;

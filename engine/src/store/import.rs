@@ -1,0 +1,488 @@
+//! A stream of samples into a volume file: slab by slab of one brick edge of slices, one slab read
+//! while the one before is encoded. Slabs that do not fit the budget go through a scratch file.
+
+use super::crew::{BATCH_EDGE, Crew, threads_for};
+use super::spec::{VolumeInfo, VolumeSpec};
+use super::storage::{FileStorage, Storage};
+use super::writer::{Aside, BrickEncoder, VolumeWriter, create_aside};
+use crate::budget::{Budget, Permit, human_bytes};
+use crate::error::{Error, ErrorKind, Result};
+use crossbeam::channel::{Receiver, Sender, bounded};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Bytes that are read from the source at a time.
+const CHUNK: usize = 1 << 20;
+
+/// Writes the samples of `source` to a volume file at `out`. The source gives the raw little-endian
+/// samples of the whole domain, `i` fastest, one byte per bit.
+///
+/// The bytes of the file do not depend on the number of threads or on the budget: bricks stand in
+/// the order of the source, by slabs, then rows of bricks, then along `i`.
+///
+/// # Errors
+/// A source that ends early, goes on after the last sample or fails; a write that fails. Nothing is
+/// then left under `out`.
+///
+/// # Memory
+/// Two slabs of `brick_edge` slices where half of the free budget holds them. Otherwise they go to a
+/// scratch file beside `out`, and memory is a few MiB per thread.
+pub fn import_stream(
+    source: &mut dyn Read,
+    spec: &VolumeSpec,
+    out: &Path,
+    budget: &Budget,
+) -> Result<VolumeInfo> {
+    let writer = VolumeWriter::create(out, spec, budget)?;
+    fill(source, &writer, out, budget).map_err(|e| match e.kind() {
+        ErrorKind::Truncated | ErrorKind::BadInput => e.context(out.display()),
+        _ => e,
+    })?;
+    writer.finish()
+}
+
+/// Where the samples of a slab are.
+enum Place {
+    Memory(Vec<u8>),
+    /// Offset in the scratch file.
+    Scratch(u64),
+}
+
+/// One slab; gives its place back when the last job is done with it.
+struct Slab {
+    place: Option<Place>,
+    /// Index of the slab, and its slices.
+    z: u32,
+    slices: usize,
+    free: Sender<Place>,
+}
+
+impl Drop for Slab {
+    fn drop(&mut self) {
+        if let Some(place) = self.place.take() {
+            // Nobody waits for it after the last slab.
+            let _ = self.free.send(place);
+        }
+    }
+}
+
+/// Bricks `first..end` of brick row `y` of a slab.
+struct Job {
+    slab: Arc<Slab>,
+    y: u32,
+    first: u32,
+    end: u32,
+    ticket: u64,
+}
+
+/// Sizes that everybody needs.
+struct Shape {
+    size: [usize; 3],
+    edge: usize,
+    width: usize,
+    scratch: Option<(FileStorage, PathBuf, Aside)>,
+}
+
+fn fill(source: &mut dyn Read, writer: &VolumeWriter, out: &Path, budget: &Budget) -> Result<()> {
+    let spec = writer.spec();
+    let size = spec.grid.domain.size().map(|n| n as usize);
+    let (edge, width) = (spec.brick_edge as usize, spec.sample.bytes());
+    // As many bricks along i as make a batch.
+    let batch =
+        u64::from((BATCH_EDGE / spec.brick_edge).pow(3).max(1)).min(u64::from(writer.bricks()[0]));
+    let segment_bytes = (edge.pow(3) * width) as u64 * (batch + 1);
+    let per_thread = segment_bytes + writer.encoder_charge(batch);
+    let slab_bytes = size[0] as u64 * size[1] as u64 * edge.min(size[2]) as u64 * width as u64;
+    let in_memory = slab_bytes.checked_mul(2).and_then(|both| {
+        (both <= budget.free_bytes() / 2 && slab_bytes <= isize::MAX as u64)
+            .then(|| budget.try_take(both))
+            .flatten()
+    });
+    let (free_sender, free) = bounded(2);
+    let mut shape = Shape {
+        size,
+        edge,
+        width,
+        scratch: None,
+    };
+    let slabs_permit: Permit;
+    match in_memory {
+        Some(permit) => {
+            slabs_permit = permit;
+            for _ in 0..2 {
+                let _ = free_sender.send(Place::Memory(vec![0; slab_bytes as usize]));
+            }
+        }
+        None => {
+            slabs_permit = budget.take(CHUNK as u64, "reading the source")?;
+            let (file, aside) = create_aside(out)?;
+            shape.scratch = Some((FileStorage(file), aside.path().to_path_buf(), aside));
+            for slot in 0..2 {
+                let _ = free_sender.send(Place::Scratch(slot * slab_bytes));
+            }
+        }
+    }
+    let threads = threads_for(budget, per_thread);
+    budget
+        .progress()
+        .start(writer.bricks().into_iter().map(u64::from).product());
+    let crew = Crew::default();
+    let (jobs, queue) = bounded::<Job>(2 * threads);
+    std::thread::scope(|scope| {
+        for _ in 0..threads {
+            let queue = queue.clone();
+            let (crew, shape) = (&crew, &shape);
+            scope.spawn(move || {
+                crew.run(|| work(&queue, crew, shape, writer, batch, segment_bytes, budget));
+                // After a failure the queue must not fill up.
+                queue.iter().for_each(drop);
+            });
+        }
+        drop(queue);
+        crew.run(|| {
+            feed(
+                source,
+                &crew,
+                &shape,
+                writer,
+                batch,
+                jobs,
+                &free,
+                &free_sender,
+                budget,
+            )
+        });
+    });
+    drop(slabs_permit);
+    crew.finish()
+}
+
+/// Reads slab after slab and hands out its jobs.
+#[expect(clippy::too_many_arguments, reason = "one call; the parts of fill")]
+fn feed(
+    source: &mut dyn Read,
+    crew: &Crew,
+    shape: &Shape,
+    writer: &VolumeWriter,
+    batch: u64,
+    jobs: Sender<Job>,
+    free: &Receiver<Place>,
+    free_sender: &Sender<Place>,
+    budget: &Budget,
+) -> Result<()> {
+    let [bx, by, bz] = writer.bricks();
+    let slice_bytes = shape.size[0] as u64 * shape.size[1] as u64 * shape.width as u64;
+    let total = slice_bytes * shape.size[2] as u64;
+    let (mut done, mut ticket) = (0u64, 0u64);
+    let mut chunk = Vec::new();
+    for z in 0..bz {
+        let slices = shape.edge.min(shape.size[2] - z as usize * shape.edge);
+        let mut place = loop {
+            budget.check_cancelled()?;
+            if crew.has_failed() {
+                return Ok(());
+            }
+            if let Ok(place) = free.recv_timeout(std::time::Duration::from_millis(100)) {
+                break place;
+            }
+        };
+        let bytes = slice_bytes * slices as u64;
+        let mut at = 0u64;
+        while at < bytes {
+            budget.check_cancelled()?;
+            let n = (bytes - at).min(CHUNK as u64) as usize;
+            let target = match &mut place {
+                Place::Memory(slab) => &mut slab[at as usize..][..n],
+                Place::Scratch(_) => {
+                    chunk.resize(CHUNK, 0);
+                    &mut chunk[..n]
+                }
+            };
+            read_all(source, target, done + at, total)?;
+            if let (Place::Scratch(base), Some((file, path, _))) = (&place, &shape.scratch) {
+                file.write_at(&chunk[..n], base + at)
+                    .map_err(|e| Error::io(path, "writing the scratch file", e))?;
+            }
+            at += n as u64;
+        }
+        done += bytes;
+        let slab = Arc::new(Slab {
+            place: Some(place),
+            z,
+            slices,
+            free: free_sender.clone(),
+        });
+        for y in 0..by {
+            for first in (0..bx).step_by(batch as usize) {
+                let end = bx.min(first + batch as u32);
+                let job = Job {
+                    slab: slab.clone(),
+                    y,
+                    first,
+                    end,
+                    ticket,
+                };
+                ticket += 1;
+                if jobs.send(job).is_err() {
+                    return Ok(());
+                }
+            }
+        }
+    }
+    match source.read(&mut [0]) {
+        Ok(0) => Ok(()),
+        Ok(_) => Err(Error::bad_input(format!(
+            "the source goes on after the {total} bytes ({}) of the domain: check dimensions and type",
+            human_bytes(total)
+        ))),
+        Err(e) => Err(source_error(e, done)),
+    }
+}
+
+fn read_all(source: &mut dyn Read, mut target: &mut [u8], before: u64, total: u64) -> Result<()> {
+    let wanted = target.len();
+    while !target.is_empty() {
+        match source.read(target) {
+            Ok(0) => {
+                let got = before + (wanted - target.len()) as u64;
+                return Err(Error::new(
+                    ErrorKind::Truncated,
+                    format!(
+                        "the source ends after {got} of {total} bytes: check dimensions and type"
+                    ),
+                ));
+            }
+            Ok(n) => target = &mut target[n..],
+            Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(e) => return Err(source_error(e, before)),
+        }
+    }
+    Ok(())
+}
+
+/// An importer's reader may carry an error of this crate; its message says more than ours could.
+fn source_error(error: std::io::Error, at: u64) -> Error {
+    Error::io(
+        Path::new("source"),
+        &format!("reading samples near byte {at}"),
+        error,
+    )
+}
+
+/// Encodes jobs until there are no more.
+fn work(
+    queue: &Receiver<Job>,
+    crew: &Crew,
+    shape: &Shape,
+    writer: &VolumeWriter,
+    batch: u64,
+    segment_bytes: u64,
+    budget: &Budget,
+) -> Result<()> {
+    let mut encoder = writer.new_encoder(batch)?;
+    let _permit = budget.take(segment_bytes, "gathering bricks")?;
+    let mut raw = vec![0; shape.edge.pow(3) * shape.width];
+    let mut segment = Vec::new();
+    for job in queue {
+        budget.check_cancelled()?;
+        if crew.has_failed() {
+            return Ok(());
+        }
+        encoder.batch.clear();
+        encode_job(&job, shape, writer, &mut encoder, &mut raw, &mut segment)?;
+        let (ticket, bricks) = (job.ticket, job.end - job.first);
+        // The slab may be filled anew while this thread waits for its turn.
+        drop(job);
+        crew.append(ticket, writer, &encoder)?;
+        budget.progress().add(bricks.into());
+    }
+    Ok(())
+}
+
+fn encode_job(
+    job: &Job,
+    shape: &Shape,
+    writer: &VolumeWriter,
+    encoder: &mut BrickEncoder,
+    raw: &mut [u8],
+    segment: &mut Vec<u8>,
+) -> Result<()> {
+    let Shape {
+        size: [nx, ny, _],
+        edge,
+        width,
+        ..
+    } = *shape;
+    let (i0, i1) = (job.first as usize * edge, (job.end as usize * edge).min(nx));
+    let (j0, j1) = (
+        job.y as usize * edge,
+        (job.y as usize * edge + edge).min(ny),
+    );
+    let rows = j1 - j0;
+    // The samples of the job: a view of the slab, or a copy out of the scratch file.
+    let (data, row, slice, start) = match (&job.slab.place, &shape.scratch) {
+        (Some(Place::Memory(slab)), _) => (
+            &slab[..],
+            nx * width,
+            nx * ny * width,
+            (i0 + nx * j0) * width,
+        ),
+        (Some(Place::Scratch(base)), Some((file, path, _))) => {
+            let row = (i1 - i0) * width;
+            segment.resize(row * rows * job.slab.slices, 0);
+            for k in 0..job.slab.slices {
+                let at = |j: usize| base + ((i0 + nx * (j0 + j + ny * k)) * width) as u64;
+                // Full rows of a slice lie together.
+                let (runs, run) = if row == nx * width {
+                    (1, row * rows)
+                } else {
+                    (rows, row)
+                };
+                for j in 0..runs {
+                    file.read_at(&mut segment[k * row * rows + j * run..][..run], at(j))
+                        .map_err(|e| Error::io(path, "reading the scratch file", e))?;
+                }
+            }
+            (&segment[..], row, row * rows, 0)
+        }
+        _ => unreachable!("a slab has its place until it is dropped"),
+    };
+    for x in job.first..job.end {
+        let from = (x - job.first) as usize * edge;
+        let n = edge.min(i1 - i0 - from) * width;
+        for k in 0..job.slab.slices {
+            for j in 0..rows {
+                let line = &data[start + k * slice + j * row + from * width..][..n];
+                raw[(k * edge + j) * edge * width..][..n].copy_from_slice(line);
+            }
+        }
+        encoder.encode(writer, [x, job.y, job.slab.z], raw);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{Dense, mixed, spec};
+    use super::super::{Volume, verify};
+    use super::*;
+    use crate::{Box3, Field, Grid, SampleType};
+
+    #[test]
+    fn same_bytes_for_any_number_of_threads_and_through_the_scratch_file() {
+        let folder = tempfile::tempdir().expect("scratch folder");
+        let kinds = [
+            SampleType::Bit,
+            SampleType::U8,
+            SampleType::I16,
+            SampleType::F32,
+        ];
+        for (sample, edge) in kinds
+            .map(|s| (s, 32))
+            .into_iter()
+            .chain([(SampleType::U16, 8)])
+        {
+            let dense = Dense::new(spec([70, 600, 40], sample, edge), mixed);
+            let import = |threads: usize, bytes: u64| {
+                let out = folder.path().join("v.bvol");
+                let budget = Budget::bytes(bytes).with_threads(threads);
+                let info = import_stream(&mut &dense.raw[..], &dense.spec, &out, &budget)
+                    .expect("imports");
+                assert_eq!(budget.used_bytes(), 0);
+                assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
+                (info, std::fs::read(&out).expect("is there"))
+            };
+            let one = import(1, 64 << 20);
+            // Two slabs of 1.3 MiB per byte of sample do not fit the last: it goes through the file.
+            let small = (1300 << 10) + sample.bytes() as u64 * (2500 << 10);
+            for (threads, bytes) in [(8, 64 << 20), (2, small)] {
+                assert!(
+                    import(threads, bytes) == one,
+                    "{sample:?} {edge} {threads} {bytes}"
+                );
+            }
+            let out = folder.path().join("v.bvol");
+            let budget = Budget::mib(24);
+            let volume = Volume::open(&out, &budget).expect("opens");
+            dense.check(&volume, dense.spec.grid.domain);
+            let report = verify(&out, &budget).expect("verifies");
+            assert!(report.is_intact(), "{:?}", report.problems);
+        }
+    }
+
+    #[test]
+    fn sources_of_the_wrong_length_are_refused() {
+        let folder = tempfile::tempdir().expect("scratch folder");
+        let out = folder.path().join("v.bvol");
+        let spec = spec([30, 20, 20], SampleType::U16, 8);
+        for (bytes, kind) in [
+            (0, ErrorKind::Truncated),
+            (23_999, ErrorKind::Truncated),
+            (24_001, ErrorKind::BadInput),
+        ] {
+            let error = import_stream(&mut &vec![1; bytes][..], &spec, &out, &Budget::mib(24))
+                .expect_err("refused");
+            assert_eq!(error.kind(), kind, "{error}");
+            assert!(error.to_string().contains("24000"), "{error}");
+            assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 0);
+        }
+    }
+
+    /// A real scan, big-endian 16-bit, against the dense array.
+    #[test]
+    #[expect(clippy::print_stderr, reason = "a skipped comparison says so")]
+    fn tooth_reads_back_in_random_boxes() {
+        let shared = std::env::var_os("BRICKMARCH_DATA").map_or_else(
+            || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
+            PathBuf::from,
+        );
+        let Ok(big_endian) = std::fs::read(shared.join("volumes/tooth.raw")) else {
+            eprintln!(
+                "SKIPPED tooth_reads_back_in_random_boxes: no volumes/tooth.raw; set BRICKMARCH_DATA"
+            );
+            return;
+        };
+        let raw: Vec<u8> = big_endian
+            .as_chunks::<2>()
+            .0
+            .iter()
+            .flat_map(|&[a, b]| [b, a])
+            .collect();
+        let folder = tempfile::tempdir().expect("scratch folder");
+        let out = folder.path().join("tooth.bvol");
+        let domain = Box3::from_size([103, 94, 161]);
+        for edge in [8, 16, 32, 64] {
+            let spec = VolumeSpec {
+                brick_edge: edge,
+                ..VolumeSpec::new(Grid::new(domain), SampleType::U16)
+            };
+            let dense = Dense {
+                spec,
+                raw: raw.clone(),
+            };
+            let budget = Budget::mib(24);
+            let info = import_stream(&mut &raw[..], &dense.spec, &out, &budget).expect("imports");
+            assert_eq!((info.range.min, info.range.max), (0.0, 1300.0));
+            assert!(info.compression > 1.2, "{}", info.compression);
+            let volume = Volume::open(&out, &budget).expect("opens");
+            let mut state = 1u32;
+            let mut random = |n: i32| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (state >> 8) as i32 % n
+            };
+            dense.check(&volume, domain);
+            for _ in 0..20 {
+                let a: [i32; 3] = std::array::from_fn(|axis| random(domain.max[axis]));
+                let b: [i32; 3] = std::array::from_fn(|axis| random(domain.max[axis]));
+                let region = Box3::new(
+                    std::array::from_fn(|axis| a[axis].min(b[axis])),
+                    std::array::from_fn(|axis| a[axis].max(b[axis]) + 1),
+                );
+                dense.check(&volume, region);
+            }
+            assert!(verify(&out, &budget).expect("verifies").is_intact());
+            assert_eq!(volume.range(domain).expect("range"), info.range);
+        }
+    }
+}

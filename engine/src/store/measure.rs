@@ -1,0 +1,268 @@
+//! Speed and size of the codecs, for `docs/why.md`. Not a test of behaviour beyond the round trip:
+//! `cargo test --release -p brickmarch --lib measure -- --ignored --nocapture`.
+
+use super::codec::{Encoder, decode};
+use super::layout::brick_bytes;
+use super::write_field::write_field;
+use super::{Volume, VolumeSpec, import_stream};
+use crate::field::FromFn;
+use crate::{Box3, Budget, Field, Grid, Kind, Range, SampleType, Samples};
+use std::f32::consts::TAU;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+fn gyroid(p: [i32; 3], period: f32) -> f32 {
+    let [x, y, z] = p.map(|v| v as f32 * TAU / period);
+    x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()
+}
+
+fn shared(name: &str) -> Option<Vec<u8>> {
+    let data = std::env::var_os("BRICKMARCH_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
+        PathBuf::from,
+    );
+    std::fs::read(data.join("volumes").join(name)).ok()
+}
+
+/// Bricks of a dense cube of samples.
+fn bricks(sample: SampleType, raw: &[u8], size: [usize; 3], edge: usize) -> Vec<Vec<u8>> {
+    let w = sample.bytes();
+    let counts = size.map(|n| n / edge);
+    let mut all = Vec::new();
+    for n in 0..counts.iter().product() {
+        let b = [
+            n % counts[0],
+            n / counts[0] % counts[1],
+            n / counts[0] / counts[1],
+        ]
+        .map(|v: usize| v * edge);
+        let mut brick = Vec::with_capacity(edge.pow(3) * w);
+        for k in 0..edge {
+            for j in 0..edge {
+                let at = (b[0] + size[0] * (b[1] + j + size[1] * (b[2] + k))) * w;
+                brick.extend_from_slice(&raw[at..][..edge * w]);
+            }
+        }
+        all.push(brick);
+    }
+    all
+}
+
+#[test]
+#[ignore = "a measurement"]
+#[expect(clippy::print_stderr, reason = "a measurement")]
+fn measure_codecs() {
+    let n = 128usize;
+    let dense = |period: f32| -> Vec<u8> {
+        let points = (0..n * n * n).map(|i| [i % n, i / n % n, i / n / n].map(|v| v as i32));
+        points
+            .flat_map(|p| gyroid(p, period).to_le_bytes())
+            .collect()
+    };
+    let mut inputs = vec![(
+        "gyroid f32, period 128",
+        SampleType::F32,
+        dense(128.0),
+        [n; 3],
+    )];
+    inputs.push((
+        "gyroid f32, period 32",
+        SampleType::F32,
+        dense(32.0),
+        [n; 3],
+    ));
+    if let Some(bytes) = shared("tooth.raw") {
+        let raw = bytes
+            .as_chunks::<2>()
+            .0
+            .iter()
+            .flat_map(|&[a, b]| [b, a])
+            .collect();
+        inputs.push(("tooth u16", SampleType::U16, raw, [103, 94, 161]));
+    }
+    if let Some(raw) = shared("ct_abdomen_crop128.raw") {
+        inputs.push(("ct i16", SampleType::I16, raw, [n; 3]));
+    }
+    for (name, sample, raw, size) in &inputs {
+        for edge in [16u32, 32, 64] {
+            let bricks = bricks(*sample, raw, *size, edge as usize);
+            let bytes: usize = bricks.iter().map(Vec::len).sum();
+            let mut encoder = Encoder::default();
+            let mut scratch = Vec::new();
+            let mut out = vec![0; brick_bytes(*sample, edge)];
+            for codec in [None, Some(1), Some(2), Some(3), Some(4), Some(5)] {
+                if codec == Some(5) && *sample != SampleType::F32 {
+                    continue;
+                }
+                let (mut encode_s, mut decode_s, mut stored_bytes) = (f64::MAX, f64::MAX, 0);
+                let mut chosen = [0usize; 6];
+                for _ in 0..3 {
+                    let start = Instant::now();
+                    let stored: Vec<(u8, Vec<u8>)> = bricks
+                        .iter()
+                        .map(|brick| {
+                            let mut stored = Vec::new();
+                            let used = match codec {
+                                None => encoder.encode(*sample, edge, brick, &mut stored),
+                                Some(codec) => {
+                                    encoder.encode_as(codec, *sample, edge, brick, &mut stored);
+                                    codec
+                                }
+                            };
+                            if stored.len() > brick.len() {
+                                (0, brick.clone())
+                            } else {
+                                (used, stored)
+                            }
+                        })
+                        .collect();
+                    encode_s = encode_s.min(start.elapsed().as_secs_f64());
+                    let start = Instant::now();
+                    for (used, stored) in &stored {
+                        decode(*used, stored, *sample, edge, &mut out, &mut scratch)
+                            .expect("decodes");
+                    }
+                    decode_s = decode_s.min(start.elapsed().as_secs_f64());
+                    for (brick, (used, stored)) in bricks.iter().zip(&stored) {
+                        decode(*used, stored, *sample, edge, &mut out, &mut scratch)
+                            .expect("decodes");
+                        assert!(out == *brick);
+                        chosen[usize::from(*used)] += 1;
+                    }
+                    stored_bytes = stored.iter().map(|s| s.1.len()).sum();
+                }
+                eprintln!(
+                    "{name:24} edge {edge:2} codec {:6} ratio {:5.2} encode {:5.0} MB/s decode {:5.0} MB/s {:?}",
+                    codec.map_or("chosen".into(), |c: u8| c.to_string()),
+                    bytes as f64 / stored_bytes as f64,
+                    bytes as f64 / encode_s / 1e6,
+                    bytes as f64 / decode_s / 1e6,
+                    chosen.map(|c| c / 3),
+                );
+            }
+        }
+    }
+}
+
+#[test]
+#[ignore = "a measurement"]
+#[expect(clippy::print_stderr, reason = "a measurement")]
+fn measure_files() {
+    let folder = tempfile::tempdir().expect("scratch folder");
+    let out = folder.path().join("v.bvol");
+    let n = std::env::var("MEASURE_N")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(512);
+    let mib = std::env::var("MEASURE_MIB")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(64);
+    for edge in [16, 32] {
+        let spec = VolumeSpec {
+            brick_edge: edge,
+            ..VolumeSpec::new(Grid::new(Box3::from_size([n; 3])), SampleType::F32)
+        };
+        // Factors per axis, so that the function is not what is measured.
+        let (sin, cos): (Vec<f32>, Vec<f32>) = (0..n)
+            .map(|v| (v as f32 * TAU * 8.0 / n as f32).sin_cos())
+            .unzip();
+        let value = |p: [i32; 3]| {
+            let [x, y, z] = p.map(|v| v as usize);
+            sin[x] * cos[y] + sin[y] * cos[z] + sin[z] * cos[x]
+        };
+        let field = FromFn::new(spec.grid, Kind::Density, value, |_| Range::UNKNOWN);
+        let budget = Budget::mib(mib);
+        let start = Instant::now();
+        let info = write_field(&field, &spec, &out, &budget).expect("writes");
+        eprintln!(
+            "gyroid {n}^3 edge {edge}: write {:.2} s, file {} B, ratio {:.2}, pages {}, peak permits {} B",
+            start.elapsed().as_secs_f64(),
+            info.bytes_file,
+            info.compression,
+            info.pages,
+            budget.peak_bytes()
+        );
+        read_all(&out, mib, 32);
+    }
+    for (name, sample, size, big) in [
+        ("tooth.raw", SampleType::U16, [103, 94, 161], true),
+        (
+            "ct_abdomen_512x512x275.raw",
+            SampleType::U8,
+            [512, 512, 275],
+            false,
+        ),
+        ("ct_abdomen_crop128.raw", SampleType::I16, [128; 3], false),
+    ] {
+        let Some(mut raw) = shared(name) else {
+            eprintln!("SKIPPED {name}: not there");
+            continue;
+        };
+        if big {
+            raw.as_chunks_mut::<2>()
+                .0
+                .iter_mut()
+                .for_each(|b| b.reverse());
+        }
+        for edge in [16, 32] {
+            let spec = VolumeSpec {
+                brick_edge: edge,
+                ..VolumeSpec::new(Grid::new(Box3::from_size(size)), sample)
+            };
+            let budget = Budget::mib(mib);
+            let start = Instant::now();
+            let info = import_stream(&mut &raw[..], &spec, &out, &budget).expect("imports");
+            eprintln!(
+                "{name} edge {edge}: import {:.2} s, file {} B, ratio {:.2}, bricks {} + {} constant",
+                start.elapsed().as_secs_f64(),
+                info.bytes_file,
+                info.compression,
+                info.bricks_stored,
+                info.bricks_constant
+            );
+            read_all(&out, mib, 32);
+        }
+    }
+}
+
+#[expect(clippy::print_stderr, reason = "a measurement")]
+fn read_all(path: &Path, mib: u64, block: i32) {
+    let budget = Budget::mib(mib);
+    let volume = Volume::open(path, &budget).expect("opens");
+    let domain = volume.grid().domain;
+    let mut values = vec![0.0; (block as usize).pow(3)];
+    let start = Instant::now();
+    let mut regions = Vec::new();
+    for z in (0..domain.max[2]).step_by(block as usize) {
+        for y in (0..domain.max[1]).step_by(block as usize) {
+            for x in (0..domain.max[0]).step_by(block as usize) {
+                regions.push(
+                    Box3::new([x, y, z], [x + block, y + block, z + block]).intersect(&domain),
+                );
+            }
+        }
+    }
+    for region in &regions {
+        volume
+            .read(*region, &mut Samples::dense(&mut values, *region))
+            .expect("reads");
+    }
+    let read_s = start.elapsed().as_secs_f64();
+    let start = Instant::now();
+    let mut sum = 0.0;
+    for region in &regions {
+        sum += volume.range(region.grow(0, 1)).expect("range").max;
+    }
+    let range_s = start.elapsed().as_secs_f64();
+    let start = Instant::now();
+    let report = super::verify(path, &budget).expect("verifies");
+    assert!(report.is_intact() && sum.is_finite());
+    eprintln!(
+        "    read all in {block}^3 blocks, 1 thread: {:.2} s = {:.0} Msamples/s; range {:.2} us; verify {:.2} s",
+        read_s,
+        domain.count() as f64 / read_s / 1e6,
+        range_s * 1e6 / regions.len() as f64,
+        start.elapsed().as_secs_f64()
+    );
+}
