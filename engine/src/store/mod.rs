@@ -8,6 +8,8 @@ pub mod cache;
 mod catalog;
 mod codec;
 mod crew;
+#[cfg(test)]
+mod damage_tests;
 mod filter;
 mod import;
 mod label;
