@@ -148,3 +148,13 @@ fn build(package: &str) {
         );
     });
 }
+
+/// Runs `brickmarch` where no file may grow beyond `kib` KiB.
+pub(crate) fn limited(args: impl IntoIterator<Item = String>, kib: u32) -> Run {
+    let script = format!("trap '' XFSZ; ulimit -f {kib}; exec \"$@\"");
+    let program = binary("brickmarch-tools", "brickmarch");
+    run(Command::new("bash")
+        .args(["-c", &script, "limited"])
+        .arg(program)
+        .args(args))
+}

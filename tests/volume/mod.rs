@@ -31,7 +31,7 @@ fn stored(sample: SampleType, values: &[f32]) -> Vec<f32> {
 }
 
 /// Writes a dense array brick by brick.
-fn write(path: &Path, spec: &VolumeSpec, values: &[f32]) {
+pub(crate) fn write(path: &Path, spec: &VolumeSpec, values: &[f32]) {
     let budget = Budget::mib(64);
     let writer = VolumeWriter::create(path, spec, &budget).expect("a new file");
     let domain = spec.grid.domain;
