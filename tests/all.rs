@@ -4,6 +4,7 @@
 //! the whole package in release mode.
 
 mod architecture;
+mod bounds;
 mod cli;
 mod extraction;
 mod reference;

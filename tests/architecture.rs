@@ -62,13 +62,30 @@ fn first_name(path: &str) -> String {
 
 /// Source without comments, documentation and the test module at its end.
 fn code_of(text: &str) -> String {
-    let end = text.find("#[cfg(test)]").unwrap_or(text.len());
+    let end = text.find("#[cfg(test)]\nmod tests {").unwrap_or(text.len());
     let lines = text[..end]
         .lines()
         .map(|l| l.split("//").next().unwrap_or(""));
     lines.collect::<Vec<_>>().join("\n")
 }
 
+/// Whether a file is a module that its parent declares for tests only.
+fn is_test_only(path: &Path) -> bool {
+    let (Some(dir), Some(stem)) = (path.parent(), path.file_stem()) else {
+        return false;
+    };
+    let declared = format!("#[cfg(test)]\nmod {};", stem.to_string_lossy());
+    let parents = [
+        dir.join("mod.rs"),
+        dir.join("lib.rs"),
+        dir.join("main.rs"),
+        dir.with_extension("rs"),
+    ];
+    let mut texts = parents.iter().filter_map(|p| fs::read_to_string(p).ok());
+    texts.any(|text| text.contains(&declared))
+}
+
+/// Source files below a folder, without those that are tests only.
 fn sources(dir: &Path) -> Vec<PathBuf> {
     let mut out = Vec::new();
     for entry in fs::read_dir(dir).unwrap_or_else(|e| panic!("{}: {e}", dir.display())) {
@@ -80,7 +97,7 @@ fn sources(dir: &Path) -> Vec<PathBuf> {
             {
                 out.extend(sources(&path));
             }
-        } else if path.extension().is_some_and(|e| e == "rs") {
+        } else if path.extension().is_some_and(|e| e == "rs") && !is_test_only(&path) {
             out.push(path);
         }
     }
@@ -172,10 +189,14 @@ fn formats_do_not_mesh_and_tools_do_not_reach_into_cells() {
 }
 
 /// Exact answers must not come from the thing under test: in `data-gen` only the adapter and the
-/// program may name the engine.
+/// program (with its writer) may name the engine.
 #[test]
 fn ground_truth_does_not_use_the_engine() {
-    let writers = ["data-gen/src/adapter.rs", "data-gen/src/main.rs"];
+    let writers = [
+        "data-gen/src/adapter.rs",
+        "data-gen/src/main.rs",
+        "data-gen/src/write.rs",
+    ];
     let wrong = offences("data-gen/src", &writers, &["brickmarch::"]);
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }

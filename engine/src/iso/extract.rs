@@ -154,7 +154,7 @@ fn empty(field: &dyn Field, options: &Extract, inside: Inside) -> Result<Error> 
         ErrorKind::EmptySurface,
         format!(
             "no surface at isovalue {} (inside is {side}): the values in {region} lie in {} to {}; choose an \
-             isovalue between them, or allow an empty mesh",
+             isovalue between them, or allow an empty mesh (--allow-empty)",
             options.iso, range.min, range.max
         ),
     ))

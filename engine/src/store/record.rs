@@ -204,7 +204,7 @@ pub(crate) fn parse_header(block: &[u8]) -> Result<[u8; FILE_ID_BYTES]> {
     if block.len() < SECTOR || block[..MAGIC.len()] != MAGIC {
         return Err(Error::new(
             ErrorKind::NotAVolume,
-            "not a brickmarch volume: the first bytes differ",
+            "not a brickmarch volume: the first bytes differ; make one of it with brickmarch import",
         ));
     }
     if crc32c::crc32c(&block[..HEADER_CRC]) != get_u32(block, HEADER_CRC) {
