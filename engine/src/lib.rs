@@ -5,6 +5,7 @@
 //! [`MeshSink`] takes a mesh while it is made; a [`Budget`] bounds memory and threads.
 
 pub mod budget;
+mod cpu;
 pub mod error;
 pub mod field;
 pub mod iso;

@@ -10,49 +10,11 @@
 )]
 
 use super::block::{Block, BlockOutput, BlockSamples, Style};
+pub(super) use crate::cpu::Level;
 use crate::mesh::Piece;
 use crate::sample::Inside;
 
-/// Instructions that the mesher makes use of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Level {
-    /// What every processor of the architecture has.
-    Portable,
-    /// AVX2, BMI, popcnt.
-    #[cfg(target_arch = "x86_64")]
-    Avx2,
-    /// AVX-512 F and BW beside the former.
-    #[cfg(target_arch = "x86_64")]
-    Avx512,
-}
-
 impl Level {
-    /// The best of this processor.
-    pub(super) fn detect() -> Self {
-        Self::available().last().copied().unwrap_or(Level::Portable)
-    }
-
-    /// All that this processor has, slowest first.
-    pub(super) fn available() -> &'static [Level] {
-        #[cfg(target_arch = "x86_64")]
-        {
-            let avx2 = is_x86_feature_detected!("avx2")
-                && is_x86_feature_detected!("bmi1")
-                && is_x86_feature_detected!("bmi2")
-                && is_x86_feature_detected!("lzcnt")
-                && is_x86_feature_detected!("popcnt");
-            let avx512 =
-                avx2 && is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw");
-            if avx512 {
-                return &[Level::Portable, Level::Avx2, Level::Avx512];
-            }
-            if avx2 {
-                return &[Level::Portable, Level::Avx2];
-            }
-        }
-        &[Level::Portable]
-    }
-
     /// See [`Block::scan_with`].
     pub(super) fn scan(self, block: &mut Block, samples: &BlockSamples, style: &Style) -> bool {
         match self {
@@ -109,7 +71,7 @@ mod x86 {
         })
     }
 
-    #[target_feature(enable = "avx512f,avx512bw,avx2,bmi1,bmi2,lzcnt,popcnt")]
+    #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,bmi1,bmi2,lzcnt,popcnt")]
     pub(super) fn scan_avx512(block: &mut Block, samples: &BlockSamples, style: &Style) -> bool {
         block.scan_with(samples, style, |row, iso, inside| {
             mask_avx512(row, iso, inside)
@@ -146,7 +108,7 @@ mod x86 {
         mask
     }
 
-    #[target_feature(enable = "avx512f,avx512bw")]
+    #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
     #[inline]
     fn mask_avx512(row: &[f32], iso: f32, inside: Inside) -> u64 {
         let limit = _mm512_set1_ps(iso);

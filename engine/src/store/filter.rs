@@ -7,6 +7,10 @@
 //! numbers do.
 
 use super::value::f32_key;
+use crate::cpu::Level;
+
+#[path = "filter_vector.rs"]
+mod vector;
 
 /// The transforms, in the order of their numbers in files (see [`super::codec`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,19 +63,32 @@ fn f32_unkey(key: u32) -> u32 {
     key ^ ((!((key as i32) >> 31) as u32) | 0x8000_0000)
 }
 
+/// `[f(0), f(1), ...]`; unlike `array::map` it is always inlined into code for newer instructions.
+#[inline(always)]
+fn build<const E: usize, T: Copy + Default>(f: impl Fn(usize) -> T) -> [T; E] {
+    let mut out = [T::default(); E];
+    for (i, value) in out.iter_mut().enumerate() {
+        *value = f(i);
+    }
+    out
+}
+
 /// Little-endian words of a row.
 #[inline(always)]
 fn load<const W: usize, T: Word, const E: usize>(samples: &[[u8; W]], row: usize) -> [T; E] {
     let row: &[[u8; W]; E] = samples[row * E..]
         .first_chunk()
         .expect("row inside the brick");
-    row.map(|bytes| {
-        let mut word = T::default();
-        for (b, &byte) in bytes.iter().enumerate() {
-            word = word.with_byte(b, byte);
-        }
-        word
-    })
+    build(|i| word::<W, T>(&row[i]))
+}
+
+#[inline(always)]
+fn word<const W: usize, T: Word>(bytes: &[u8; W]) -> T {
+    let mut word = T::default();
+    for (b, &byte) in bytes.iter().enumerate() {
+        word = word.with_byte(b, byte);
+    }
+    word
 }
 
 /// Transforms `raw` (whole slices of `edge * edge` samples) into its planes.
@@ -86,6 +103,16 @@ pub(crate) fn forward(
     raw: &[u8],
     planes: &mut [u8],
 ) {
+    vector::forward(Level::detect(), filter, (width, float, edge), raw, planes);
+}
+
+#[inline(always)]
+fn forward_all(
+    filter: Filter,
+    (width, float, edge): (usize, bool, u32),
+    raw: &[u8],
+    planes: &mut [u8],
+) {
     assert_eq!(raw.len(), planes.len(), "planes are as long as samples");
     match edge {
         8 => forward_width::<8>(filter, width, float, raw, planes),
@@ -95,6 +122,7 @@ pub(crate) fn forward(
     }
 }
 
+#[inline(always)]
 fn forward_width<const E: usize>(
     filter: Filter,
     width: usize,
@@ -123,7 +151,10 @@ fn forward_rows<const W: usize, T: Word, const E: usize>(
 ) {
     let (samples, _) = raw.as_chunks::<W>();
     let rows = samples.len() / E;
-    let row_at = |row: usize| load::<W, T, E>(samples, row).map(map);
+    let row_at = |row: usize| {
+        let words = load::<W, T, E>(samples, row);
+        build(|i| map(words[i]))
+    };
     for row in 0..rows {
         let (y, z) = (row % E, row / E);
         let mut words = row_at(row);
@@ -178,16 +209,16 @@ fn predict_plane<T: Word, const E: usize>(
         (0, _) => row_back(E),
         _ => {
             let (a, b, c) = (row_back(1), row_back(E), row_back(E + 1));
-            std::array::from_fn(|i| a[i].add(b[i]).sub(c[i]))
+            build(|i| a[i].add(b[i]).sub(c[i]))
         }
     }
 }
 
+#[inline(always)]
 fn forward_smooth<const E: usize>(raw: &[u8], planes: &mut [u8]) {
     let (samples, _) = raw.as_chunks::<4>();
     for row in 0..samples.len() / E {
-        let prediction =
-            predict_smooth::<E>(row % E, row / E, |back| load_f32(samples, row - back));
+        let prediction = predict_smooth::<E>(samples, row);
         let mut words = load::<4, u32, E>(samples, row);
         for i in 0..E {
             words[i] = f32_key(words[i]).wrapping_sub(prediction[i]).zigzag();
@@ -198,47 +229,61 @@ fn forward_smooth<const E: usize>(raw: &[u8], planes: &mut [u8]) {
 
 #[inline(always)]
 fn load_f32<const E: usize>(samples: &[[u8; 4]], row: usize) -> [f32; E] {
-    load::<4, u32, E>(samples, row).map(f32::from_bits)
+    let words = load::<4, u32, E>(samples, row);
+    build(|i| f32::from_bits(words[i]))
 }
 
-/// Extrapolates with `(1, -2, 1)` along y of differences with `(1, -2, 1)` along z, of lower order
-/// at the border. The order of the operations is part of the format. Gives keys.
+/// Extrapolates row `row` with `(1, -2, 1)` along y of differences with `(1, -2, 1)` along z, of
+/// lower order at the border, from the rows before it. The order of the operations is part of the
+/// format. Gives keys.
 #[inline(always)]
-fn predict_smooth<const E: usize>(
-    y: usize,
-    z: usize,
-    row_back: impl Fn(usize) -> [f32; E],
-) -> [u32; E] {
-    // Along y inside the slice `dz` before.
-    let along_y = |dz: usize| -> [f32; E] {
-        match y {
-            0 => [0.0; E],
-            1 => row_back(1 + dz * E),
-            _ => {
-                let (a, b) = (row_back(1 + dz * E), row_back(2 + dz * E));
-                std::array::from_fn(|i| 2.0 * a[i] - b[i])
-            }
-        }
-    };
-    // What that prediction misses in the slice `dz` before.
-    let missed = |dz: usize| -> [f32; E] {
-        let (value, guess) = (row_back(dz * E), along_y(dz));
-        std::array::from_fn(|i| value[i] - guess[i])
-    };
-    let here = along_y(0);
+fn predict_smooth<const E: usize>(samples: &[[u8; 4]], row: usize) -> [u32; E] {
+    let (y, z) = (row % E, row / E);
+    let here = along_y::<E>(samples, row, y);
     let guess: [f32; E] = match z {
         0 => here,
         1 => {
-            let a = missed(1);
-            std::array::from_fn(|i| here[i] + a[i])
+            let a = missed::<E>(samples, row - E, y);
+            build(|i| here[i] + a[i])
         }
         _ => {
-            let (a, b) = (missed(1), missed(2));
-            std::array::from_fn(|i| here[i] + (2.0 * a[i] - b[i]))
+            let (a, b) = (
+                missed::<E>(samples, row - E, y),
+                missed::<E>(samples, row - 2 * E, y),
+            );
+            build(|i| here[i] + (2.0 * a[i] - b[i]))
         }
     };
     // The bits of a NaN that arithmetic makes differ between machines.
-    guess.map(|v| f32_key(if v.is_nan() { 0 } else { v.to_bits() }))
+    build(|i| {
+        f32_key(if guess[i].is_nan() {
+            0
+        } else {
+            guess[i].to_bits()
+        })
+    })
+}
+
+/// Prediction of row `row` from the rows before it in its slice.
+#[inline(always)]
+fn along_y<const E: usize>(samples: &[[u8; 4]], row: usize, y: usize) -> [f32; E] {
+    match y {
+        0 => [0.0; E],
+        1 => load_f32(samples, row - 1),
+        _ => {
+            let (a, b): ([f32; E], [f32; E]) =
+                (load_f32(samples, row - 1), load_f32(samples, row - 2));
+            build(|i| 2.0 * a[i] - b[i])
+        }
+    }
+}
+
+/// What [`along_y`] misses of row `row`.
+#[inline(always)]
+fn missed<const E: usize>(samples: &[[u8; 4]], row: usize, y: usize) -> [f32; E] {
+    let value: [f32; E] = load_f32(samples, row);
+    let guess = along_y::<E>(samples, row, y);
+    build(|i| value[i] - guess[i])
 }
 
 /// Inverse of [`forward`]: `planes[b]` is plane `b`, `raw` receives the samples.
@@ -246,6 +291,11 @@ fn predict_smooth<const E: usize>(
 /// # Panics
 /// When the lengths disagree.
 pub(crate) fn inverse(filter: Filter, float: bool, edge: u32, planes: &[&[u8]], raw: &mut [u8]) {
+    vector::inverse(Level::detect(), filter, float, edge, planes, raw);
+}
+
+#[inline(always)]
+fn inverse_all(filter: Filter, float: bool, edge: u32, planes: &[&[u8]], raw: &mut [u8]) {
     match edge {
         8 => inverse_width::<8>(filter, float, planes, raw),
         16 => inverse_width::<16>(filter, float, planes, raw),
@@ -254,6 +304,7 @@ pub(crate) fn inverse(filter: Filter, float: bool, edge: u32, planes: &[&[u8]], 
     }
 }
 
+#[inline(always)]
 fn inverse_width<const E: usize>(filter: Filter, float: bool, planes: &[&[u8]], raw: &mut [u8]) {
     match *planes {
         [a] => inverse_rows::<1, u8, E>(filter, [a], raw),
@@ -273,21 +324,24 @@ fn inverse_width<const E: usize>(filter: Filter, float: bool, planes: &[&[u8]], 
 
 #[inline(always)]
 fn load_planes<const W: usize, T: Word, const E: usize>(planes: &[&[u8]; W], row: usize) -> [T; E] {
-    let planes: [&[u8; E]; W] =
-        planes.map(|p| p[row * E..].first_chunk().expect("row inside the plane"));
-    std::array::from_fn(|i| {
-        let mut word = T::default();
-        for (b, plane) in planes.iter().enumerate() {
-            word = word.with_byte(b, plane[i]);
+    let mut words = [T::default(); E];
+    for (b, plane) in planes.iter().enumerate() {
+        let bytes: &[u8; E] = plane[row * E..]
+            .first_chunk()
+            .expect("row inside the plane");
+        for i in 0..E {
+            words[i] = words[i].with_byte(b, bytes[i]);
         }
-        word
-    })
+    }
+    words
 }
 
 #[inline(always)]
 fn store<const W: usize, T: Word, const E: usize>(words: &[T; E], out: &mut [[u8; W]]) {
     for (bytes, word) in out.iter_mut().zip(words) {
-        *bytes = std::array::from_fn(|b| word.byte(b));
+        for (b, byte) in bytes.iter_mut().enumerate() {
+            *byte = word.byte(b);
+        }
     }
 }
 
@@ -326,12 +380,13 @@ fn inverse_rows<const W: usize, T: Word, const E: usize>(
     }
 }
 
+#[inline(always)]
 fn inverse_smooth<const E: usize>(planes: [&[u8]; 4], raw: &mut [u8]) {
     let (samples, _) = raw.as_chunks_mut::<4>();
     for row in 0..samples.len() / E {
         let mut words = load_planes::<4, u32, E>(&planes, row);
         let (done, rest) = samples.split_at_mut(row * E);
-        let prediction = predict_smooth::<E>(row % E, row / E, |back| load_f32(done, row - back));
+        let prediction = predict_smooth::<E>(done, row);
         for i in 0..E {
             words[i] = f32_unkey(words[i].unzigzag().wrapping_add(prediction[i]));
         }
@@ -342,6 +397,51 @@ fn inverse_smooth<const E: usize>(planes: [&[u8]; 4], raw: &mut [u8]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn all_levels_give_the_same_bytes() {
+        let mut seed = 3u32;
+        let mut random = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (seed >> 8) as u8
+        };
+        for (edge, width, float) in [
+            (8, 4, true),
+            (16, 4, true),
+            (32, 4, false),
+            (32, 2, false),
+            (16, 1, false),
+        ] {
+            let raw: Vec<u8> = (0..edge * edge * edge * width).map(|_| random()).collect();
+            for filter in [
+                Filter::Planes,
+                Filter::Delta,
+                Filter::Plane3,
+                Filter::Smooth,
+            ] {
+                if filter == Filter::Smooth && !float {
+                    continue;
+                }
+                let mut want = vec![0; raw.len()];
+                forward_all(filter, (width, float, edge as u32), &raw, &mut want);
+                for &level in Level::available() {
+                    let mut planes = vec![0; raw.len()];
+                    vector::forward(
+                        level,
+                        filter,
+                        (width, float, edge as u32),
+                        &raw,
+                        &mut planes,
+                    );
+                    assert_eq!(planes, want, "{filter:?} {level:?}");
+                    let mut back = vec![0; raw.len()];
+                    let parts: Vec<&[u8]> = planes.chunks(raw.len() / width).collect();
+                    vector::inverse(level, filter, float, edge as u32, &parts, &mut back);
+                    assert_eq!(back, raw, "{filter:?} {level:?}");
+                }
+            }
+        }
+    }
 
     #[test]
     fn zigzag_and_keys_are_bijections() {
