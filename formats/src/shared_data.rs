@@ -1,9 +1,12 @@
 //! Real volumes of the shared data set: dimensions, value range and spacing as its README states.
 
-use crate::testing::shared_volumes;
+use crate::export::{Export, export_volume};
+use crate::testing::{samples, shared_volumes};
 use crate::volume::{OpenOptions, open_volume};
-use brickmarch::{Affine, ErrorKind, SampleType, Units};
+use brickmarch::store::{Volume, import_stream};
+use brickmarch::{Affine, Budget, ErrorKind, SampleType, Units};
 use std::io::Read;
+use std::path::Path;
 
 struct Row {
     name: &'static str,
@@ -162,5 +165,32 @@ fn shared_volumes_that_are_no_volumes_say_why() {
         assert_eq!(error.kind(), kind, "{error}");
         assert!(error.to_string().contains(say), "{error}");
         assert!(error.to_string().contains(name), "{error}");
+    }
+}
+
+/// A scan in, a volume file, an NRRD out, and in again: the same samples at the same place.
+#[test]
+fn shared_volumes_survive_the_volume_file() {
+    let Some(folder) = shared_volumes() else {
+        return;
+    };
+    let budget = Budget::mib(32);
+    for name in ["tooth.nhdr", "HeadMRVolume.mhd", "someones_anatomy.nii.gz"] {
+        let scratch = tempfile::tempdir().expect("folder");
+        let (stored, exported) = (scratch.path().join("v.bvol"), scratch.path().join("v.nrrd"));
+        let open = |path: &Path| open_volume(path, &OpenOptions::default()).expect(name);
+        let mut source = open(&folder.join(name));
+        let spec = source.spec(16);
+        import_stream(&mut source.reader, &spec, &stored, &budget).expect(name);
+        let volume = Volume::open(&stored, &budget).expect(name);
+        export_volume(&volume, None, &exported, &Export::default(), &budget).expect(name);
+        let (mut first, mut again) = (open(&folder.join(name)), open(&exported));
+        assert_eq!(again.grid, first.grid, "{name}");
+        assert_eq!(
+            (again.sample, again.kind, again.background),
+            (first.sample, first.kind, first.background)
+        );
+        let same = samples(&mut again).expect(name) == samples(&mut first).expect(name);
+        assert!(same, "{name}");
     }
 }
