@@ -50,9 +50,11 @@ pub(crate) struct Camera {
     /// Pixels per unit of the image plane, and the pixel of the optical axis.
     scale: f64,
     centre: [f64; 2],
-    /// Distances along the axis that depth 0 and 1 stand for.
-    near: f64,
-    far: f64,
+    /// Depth is linear on the screen, so that triangles may interpolate it: linear in the distance
+    /// for a parallel projection, in its inverse for a perspective. Value at depth 0, and the step
+    /// to depth 1.
+    depth_start: f64,
+    depth_span: f64,
 }
 
 impl Camera {
@@ -92,8 +94,8 @@ impl Camera {
             perspective,
             scale: 1.0,
             centre: [0.0; 2],
-            near: 1.0,
-            far: 2.0,
+            depth_start: 1.0,
+            depth_span: 1.0,
         };
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         let (mut near, mut far) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -118,8 +120,9 @@ impl Camera {
             height / 2.0 - camera.scale * (low[1] + high[1]) / 2.0,
         ];
         let slack = 1e-3 * radius;
-        camera.near = near - slack;
-        camera.far = far + slack;
+        let [start, end] = [near - slack, far + slack].map(|distance| camera.depth_of(distance));
+        camera.depth_start = start;
+        camera.depth_span = end - start;
         camera
     }
 
@@ -128,13 +131,13 @@ impl Camera {
     pub(crate) fn project(&self, world: DVec3) -> [f64; 3] {
         let offset = world - self.eye;
         let distance = -offset.dot(self.back);
-        let (zoom, depth) = if self.perspective {
-            // Linear on the screen, so that triangles may interpolate it.
-            let depth = (1.0 / self.near - 1.0 / distance) / (1.0 / self.near - 1.0 / self.far);
-            (self.scale / distance, depth)
+        let linear = self.depth_of(distance);
+        let zoom = if self.perspective {
+            self.scale * linear
         } else {
-            (self.scale, (distance - self.near) / (self.far - self.near))
+            self.scale
         };
+        let depth = (linear - self.depth_start) / self.depth_span;
         [
             self.centre[0] + zoom * offset.dot(self.right),
             self.centre[1] - zoom * offset.dot(self.up),
@@ -145,17 +148,27 @@ impl Camera {
     /// Position in camera space (right, up, back; the eye at the origin) of a pixel and a depth.
     #[inline]
     pub(crate) fn unproject(&self, x: f64, y: f64, depth: f64) -> DVec3 {
-        let (sx, sy) = (
-            (x - self.centre[0]) / self.scale,
-            (self.centre[1] - y) / self.scale,
-        );
-        if self.perspective {
-            let inverse = 1.0 / self.near - depth * (1.0 / self.near - 1.0 / self.far);
-            let distance = 1.0 / inverse;
-            DVec3::new(sx * distance, sy * distance, -distance)
+        let linear = self.depth_start + depth * self.depth_span;
+        let distance = self.depth_of(linear);
+        let unit = if self.perspective {
+            distance / self.scale
         } else {
-            let distance = self.near + depth * (self.far - self.near);
-            DVec3::new(sx, sy, -distance)
+            1.0 / self.scale
+        };
+        DVec3::new(
+            (x - self.centre[0]) * unit,
+            (self.centre[1] - y) * unit,
+            -distance,
+        )
+    }
+
+    /// From a distance to what depth is linear in, and back.
+    #[inline]
+    fn depth_of(&self, distance: f64) -> f64 {
+        if self.perspective {
+            1.0 / distance
+        } else {
+            distance
         }
     }
 

@@ -15,14 +15,14 @@ pub(super) const SUPER: usize = 2;
 /// Subdivisions of a pixel for vertex positions; edges are then exact in integers.
 const FIXED: f64 = 256.0;
 /// Width and height of the depth picture that the key light sees.
-const LIGHT_EDGE: usize = 2048;
+const LIGHT_EDGE: usize = 1024;
 /// A pixel that shows nothing.
 pub(super) const EMPTY: u64 = u64::MAX;
 
 /// Draws what it is given; see [`shade`](super::shade) for what becomes of it.
 ///
 /// # Memory
-/// 32 bytes a pixel of the picture and 16 MiB for the shadow, under permit.
+/// 32 bytes a pixel of the picture and 4 MiB for the shadow, under permit.
 pub(crate) struct Raster {
     pub(super) look: Look,
     pub(super) camera: Camera,
@@ -77,32 +77,56 @@ impl Raster {
         })
     }
 
+    /// The position of sample `x`, `y` in camera space, where something is seen.
+    #[inline]
+    pub(super) fn position(&self, x: usize, y: usize) -> Option<DVec3> {
+        let word = self.pixels[x + y * self.size[0]].load(Ordering::Relaxed);
+        (word != EMPTY).then(|| {
+            let depth = f64::from((word >> 32) as u32) * (1.0 / f64::from(u32::MAX));
+            self.camera.unproject(x as f64 + 0.5, y as f64 + 0.5, depth)
+        })
+    }
+
     fn draw(&self, piece: &Piece) {
-        let project = |camera: &Camera| -> Vec<Spot> {
+        let spots = |camera: &Camera| -> Vec<Spot> {
             let spot = |p: &[f32; 3]| Spot::new(camera.project(Vec3::from(*p).as_dvec3()));
             piece.positions.iter().map(spot).collect()
         };
-        let seen = project(&self.camera);
-        let lit = project(&self.light);
-        for corners in &piece.triangles {
-            let [a, b, c] = corners.map(|v| v as usize);
-            cover(
-                [seen[a], seen[b], seen[c]],
-                self.size,
-                |at, depth, weights, front| {
-                    let cell = &self.pixels[at];
-                    if u64::from(depth) > cell.load(Ordering::Relaxed) >> 32 {
-                        return;
+        let seen = spots(&self.camera);
+        let nearer = |at: usize, depth: u32| {
+            self.pixels[at].load(Ordering::Relaxed) >> 32 < u64::from(depth)
+        };
+        if !is_hidden(&seen, self.size, nearer) {
+            for corners in &piece.triangles {
+                let [a, b, c] = corners.map(|v| v as usize);
+                cover(
+                    [seen[a], seen[b], seen[c]],
+                    self.size,
+                    |at, depth, weights, front| {
+                        let cell = &self.pixels[at];
+                        if u64::from(depth) > cell.load(Ordering::Relaxed) >> 32 {
+                            return;
+                        }
+                        let normal = self.normal(piece, [a, b, c], weights, front);
+                        let word = u64::from(depth) << 32 | u64::from(pack_normal(normal));
+                        cell.fetch_min(word, Ordering::Relaxed);
+                    },
+                );
+            }
+        }
+        let lit = spots(&self.light);
+        let size = [LIGHT_EDGE; 2];
+        let nearer = |at: usize, depth: u32| self.light_depth[at].load(Ordering::Relaxed) < depth;
+        if !is_hidden(&lit, size, nearer) {
+            for corners in &piece.triangles {
+                let [a, b, c] = corners.map(|v| lit[v as usize]);
+                cover([a, b, c], size, |at, depth, _, _| {
+                    let cell = &self.light_depth[at];
+                    if depth < cell.load(Ordering::Relaxed) {
+                        cell.fetch_min(depth, Ordering::Relaxed);
                     }
-                    let normal = self.normal(piece, [a, b, c], weights, front);
-                    let word = u64::from(depth) << 32 | u64::from(pack_normal(normal));
-                    cell.fetch_min(word, Ordering::Relaxed);
-                },
-            );
-            let edge = [LIGHT_EDGE; 2];
-            cover([lit[a], lit[b], lit[c]], edge, |at, depth, _, _| {
-                self.light_depth[at].fetch_min(depth, Ordering::Relaxed);
-            });
+                });
+            }
         }
     }
 
@@ -161,6 +185,40 @@ impl Spot {
     }
 }
 
+/// First and last sample whose centre lies between two fixed-point positions.
+#[inline]
+fn centres(low: i64, high: i64, limit: usize) -> (i64, i64) {
+    let (half, step) = ((FIXED / 2.0) as i64, FIXED as i64);
+    let (low, high) = (low.max(0), high.min(limit as i64 * step - 1));
+    (
+        (low + half - 1).div_euclid(step),
+        (high - half).div_euclid(step),
+    )
+}
+
+/// Whether every sample that the spots can touch shows something nearer than all of them. Most
+/// pieces of a large mesh are behind others, and need not be drawn at all.
+fn is_hidden(spots: &[Spot], size: [usize; 2], nearer: impl Fn(usize, u32) -> bool) -> bool {
+    let (mut low, mut high, mut depth) = ([i64::MAX; 2], [i64::MIN; 2], f64::INFINITY);
+    for spot in spots {
+        for (axis, v) in [spot.x, spot.y].into_iter().enumerate() {
+            low[axis] = low[axis].min(v);
+            high[axis] = high[axis].max(v);
+        }
+        depth = depth.min(spot.depth);
+    }
+    let (x0, x1) = centres(low[0], high[0], size[0]);
+    let (y0, y1) = centres(low[1], high[1], size[1]);
+    // Interpolation may round below the nearest corner, by far less than this.
+    let depth = fixed_depth(depth - 1e-9);
+    (y0..=y1).all(|y| (x0..=x1).all(|x| nearer(x as usize + y as usize * size[0], depth)))
+}
+
+#[inline]
+fn fixed_depth(depth: f64) -> u32 {
+    (depth.clamp(0.0, 1.0) * f64::from(u32::MAX)) as u32
+}
+
 /// Calls `pixel(offset, depth, weights, front)` for each sample whose centre the triangle covers,
 /// its edges included, so that neighbours leave no gap.
 #[inline]
@@ -169,23 +227,11 @@ fn cover(
     size: [usize; 2],
     mut pixel: impl FnMut(usize, u32, [f32; 3], bool),
 ) {
-    let half = (FIXED / 2.0) as i64;
-    let step = FIXED as i64;
-    let range = |v: [i64; 3], limit: usize| {
-        let low = v.into_iter().min().expect("three").max(0);
-        let high = v
-            .into_iter()
-            .max()
-            .expect("three")
-            .min(limit as i64 * step - 1);
-        // First and last pixel whose centre is in low..=high.
-        (
-            (low + half - 1).div_euclid(step),
-            (high - half).div_euclid(step),
-        )
-    };
-    let (x0, x1) = range(spots.map(|s| s.x), size[0]);
-    let (y0, y1) = range(spots.map(|s| s.y), size[1]);
+    let (half, step) = ((FIXED / 2.0) as i64, FIXED as i64);
+    let range = |a: i64, b: i64, c: i64, limit| centres(a.min(b).min(c), a.max(b).max(c), limit);
+    let [a, b, c] = spots;
+    let (x0, x1) = range(a.x, b.x, c.x, size[0]);
+    let (y0, y1) = range(a.y, b.y, c.y, size[1]);
     if x1 < x0 || y1 < y0 {
         return;
     }
@@ -210,7 +256,7 @@ fn cover(
             }
             let w = w.map(|v| v as f64 * inverse);
             let depth = w[0] * a.depth + w[1] * b.depth + w[2] * c.depth;
-            let depth = (depth.clamp(0.0, 1.0) * f64::from(u32::MAX)) as u32;
+            let depth = fixed_depth(depth);
             let mut weights = w.map(|v| v as f32);
             if front {
                 weights.swap(1, 2);

@@ -105,7 +105,7 @@ impl Raster {
             if u < 0.0 || v < 0.0 || u >= w || v >= h {
                 continue;
             }
-            if let Some((other, _)) = self.sample(u as usize, v as usize) {
+            if let Some(other) = self.position(u as usize, v as usize) {
                 let offset = other - position;
                 let length = offset.length().max(1e-12);
                 let near = (1.0 - length / reach).max(0.0);
