@@ -22,8 +22,16 @@ pub(crate) struct Cli {
 
 #[derive(Subcommand, Debug)]
 pub(crate) enum Command {
+    /// Run the whole pipeline on a real CT scan and on a 1024^3 field, and leave the results
+    Demo(Demo),
+    /// Turn a volume of another format into a .bvol file
+    Import(Import),
+    /// Write a volume, or a region of it, as raw samples, .npy or .nrrd
+    Export(Export),
     /// Say what is in a volume file
     Info(Info),
+    /// Read every byte of a volume file and check every checksum and rule
+    Verify(Verify),
     /// Extract the isosurface of a volume as a closed triangle mesh (.ply, .stl, .obj)
     Mesh(Mesh),
     /// Check a mesh: closed, 2-manifold, oriented, components, genus, area, volume
@@ -176,6 +184,9 @@ pub(crate) struct Export {
     pub volume: PathBuf,
     /// File to write: .raw, .npy or .nrrd
     pub out: PathBuf,
+    /// Compress the samples (NRRD only)
+    #[arg(long)]
+    pub gzip: bool,
     #[command(flatten)]
     pub region: Region,
     #[command(flatten)]
