@@ -113,7 +113,7 @@ fn show_lines(doing: &str, progress: &Arc<Progress>, stopped: &mpsc::Receiver<()
         } else if total > 0 {
             let percent = done.min(total) as f64 / total as f64 * 100.0;
             message(&format!("{doing}: {percent:.0} % after {seconds} s"));
-        } else {
+        } else if done > 0 {
             message(&format!("{doing}: {done} done after {seconds} s"));
         }
     }
