@@ -38,17 +38,16 @@ pub(crate) fn gzip(bytes: &[u8]) -> Vec<u8> {
 /// than the file can hold.
 pub(crate) fn family(name: &str, good: &[u8]) {
     samples(&mut open_bytes(name, good).expect("opens")).expect("reads");
-    for n in 0..good.len() {
-        let result = open_bytes(name, &good[..n]).map(|mut s| samples(&mut s).map(|_| ()));
-        assert!(
-            !matches!(result, Ok(Ok(()))),
-            "{name}: the first {n} bytes pass"
-        );
-    }
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join(name);
     for n in 0..good.len() {
-        for mask in [0x01, 0x10, 0x80, 0xff] {
+        std::fs::write(&path, &good[..n]).expect("writes");
+        let opened = open_volume(&path, &OpenOptions::default());
+        let passed = opened.is_ok_and(|mut source| samples(&mut source).is_ok());
+        assert!(!passed, "{name}: the first {n} bytes pass");
+    }
+    for n in 0..good.len() {
+        for mask in [0x01, 0x80, 0xff] {
             let mut bytes = good.to_vec();
             bytes[n] ^= mask;
             std::fs::write(&path, &bytes).expect("writes");
