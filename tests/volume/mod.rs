@@ -2,6 +2,7 @@
 //! is never mistaken for data.
 
 mod damage;
+mod import;
 mod mesh;
 
 use crate::support::scratch::Scratch;
