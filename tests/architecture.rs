@@ -43,7 +43,7 @@ const REEXPORTS: [(&str, &[&str]); 6] = [
 /// Files that may contain unsafe code, and must say why.
 const UNSAFE: [&str; 3] = [
     "engine/src/iso/dispatch.rs",
-    "engine/src/raw_file.rs",
+    "engine/src/raw_file/map.rs",
     "engine/src/store/filter_vector.rs",
 ];
 
