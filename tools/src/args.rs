@@ -15,6 +15,7 @@ Results go to standard output, progress and messages to standard error.";
 /// Sparse out-of-core volumes and exact closed isosurfaces, inside a memory budget.
 #[derive(Parser, Debug)]
 #[command(name = "brickmarch", version, propagate_version = true, after_help = EXIT_CODES)]
+#[command(args_override_self = true)]
 pub(crate) struct Cli {
     #[command(subcommand)]
     pub command: Command,

@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use std::sync::atomic::Ordering;
 
 /// Towards the key light in camera space (right, up, toward the eye).
-pub(super) const KEY_LIGHT: DVec3 = DVec3::new(-0.55, 0.75, 0.75);
+pub(super) const KEY_LIGHT: DVec3 = DVec3::new(-0.75, 0.70, 0.50);
 const FILL_LIGHT: Vec3 = Vec3::new(0.85, 0.15, 0.5);
 const RIM_LIGHT: Vec3 = Vec3::new(0.35, 0.55, -0.75);
 /// Samples of the neighbourhood that decide how hollow a place is.
@@ -112,7 +112,7 @@ impl Raster {
                 hidden += (offset.dot(normal) / length - 0.1).max(0.0) * near.sqrt();
             }
         }
-        (1.0 - 2.9 * hidden / HOLLOW_SAMPLES as f64).clamp(0.0, 1.0) as f32
+        (1.0 - 3.6 * hidden / HOLLOW_SAMPLES as f64).clamp(0.0, 1.0) as f32
     }
 
     /// How much of the key light arrives, softened over a few cells of its depth picture.
@@ -151,7 +151,7 @@ impl Raster {
         let sky = Vec3::new(0.26, 0.29, 0.34) * (0.5 + 0.5 * normal.y)
             + Vec3::new(0.16, 0.14, 0.12) * (0.5 - 0.5 * normal.y);
         let mut light = sky * ambient;
-        light += Vec3::new(1.02, 0.97, 0.89) * (wrapped * lit * (0.3 + 0.7 * hollow));
+        light += Vec3::new(1.08, 1.01, 0.91) * (wrapped * lit * (0.3 + 0.7 * hollow));
         light += Vec3::new(0.20, 0.22, 0.26) * (normal.dot(fill).max(0.0) * hollow);
         let mut colour = albedo * light;
         let half = (key + eye).normalize_or(key);
