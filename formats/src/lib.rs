@@ -38,3 +38,8 @@ pub use loaded::Loaded;
 pub use mesh_file::{create_mesh_sink, read_mesh};
 pub use raw::RawLayout;
 pub use volume::{FormatRow, OpenOptions, Source, VOLUME_FORMATS, VolumeFormat, open_volume};
+
+/// The program of the front page, as a test.
+#[cfg(doctest)]
+#[doc = include_str!("../../README.md")]
+struct FrontPage;
