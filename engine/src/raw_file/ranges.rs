@@ -108,7 +108,7 @@ impl Ranges {
         });
         if inside {
             let at = node[0] + size[0] * (node[1] + size[1] * node[2]);
-            *range = range.union(ranges[at as usize]);
+            *range = union(*range, ranges[at as usize]);
             return;
         }
         let below = self.levels[level - 1].size;
@@ -135,10 +135,36 @@ impl Level {
                     let range = from.next().expect("as many ranges as nodes");
                     let at = x / 2 + nx * (y / 2 + ny * (z / 2));
                     let node = &mut self.ranges[at as usize];
-                    *node = node.union(*range);
+                    *node = union(*node, *range);
                 }
             }
         }
+    }
+}
+
+/// Ranges here sort -0 before +0, so that they do not depend on how a row was cut into pieces, and
+/// one bit pattern at both ends means that all samples have it.
+fn range_of(values: &[f32]) -> Range {
+    let mut range = Range::of_slice(values);
+    if range.min == 0.0 || range.max == 0.0 {
+        let is = |zero: f32| values.iter().any(|v| v.to_bits() == zero.to_bits());
+        if range.min == 0.0 {
+            range.min = if is(-0.0) { -0.0 } else { 0.0 };
+        }
+        if range.max == 0.0 {
+            range.max = if is(0.0) { 0.0 } else { -0.0 };
+        }
+    }
+    range
+}
+
+fn union(a: Range, b: Range) -> Range {
+    let first = |a: f32, b: f32| if b.total_cmp(&a).is_lt() { b } else { a };
+    let last = |a: f32, b: f32| if b.total_cmp(&a).is_gt() { b } else { a };
+    Range {
+        min: first(a.min, b.min),
+        max: last(a.max, b.max),
+        has_nan: a.has_nan || b.has_nan,
     }
 }
 
@@ -251,7 +277,7 @@ impl Cursor<'_> {
             let count = to_border.min(values.len() as u64) as usize;
             let (now, rest) = values.split_at(count);
             let node = &mut self.ranges[row + (i / self.edge) as usize];
-            *node = node.union(Range::of_slice(now));
+            *node = union(*node, range_of(now));
             values = rest;
             i += count as u64;
         }

@@ -366,6 +366,32 @@ fn nan_and_infinity_come_through_and_nan_is_flagged() {
 }
 
 #[test]
+fn ranges_tell_minus_zero_from_zero() {
+    let (file, spec) = f32_file([128, 1, 1], |at| match at {
+        0..32 => 0.0,
+        32..64 => -0.0,
+        64..96 if at % 2 == 0 => -0.0,
+        _ => 0.0,
+    });
+    let budget = Budget::mib(1);
+    let field = RawFile::open(file.path(), &spec, &budget).expect("opens");
+    field.scan_ranges(&budget).expect("scans");
+    let ends = |x: i32, to: i32| {
+        let range = field
+            .range(Box3::new([x, 0, 0], [to, 1, 1]))
+            .expect("known");
+        [range.min, range.max].map(f32::to_bits)
+    };
+    let (plus, minus) = (0f32.to_bits(), (-0f32).to_bits());
+    assert_eq!(ends(0, 32), [plus, plus]);
+    assert_eq!(ends(32, 64), [minus, minus]);
+    assert_eq!(ends(64, 96), [minus, plus]);
+    assert_eq!(ends(96, 128), [plus, plus]);
+    assert_eq!(ends(0, 64), [minus, plus]);
+    assert_eq!(ends(0, 128), [minus, plus]);
+}
+
+#[test]
 fn scanning_stops_when_cancelled_and_may_be_done_again() {
     let (file, spec) = f32_file([40, 40, 40], |at| at as f32);
     let budget = Budget::mib(1);

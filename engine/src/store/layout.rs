@@ -242,6 +242,8 @@ pub(crate) const CATALOG_VERSION_NOW: u16 = 1;
 pub(crate) const MAX_VOLUMES: u16 = 4096;
 /// Longest name in bytes.
 pub(crate) const MAX_NAME: usize = 255;
+/// Longest history text in bytes: its record also holds a version and a length.
+pub(crate) const MAX_HISTORY: usize = ATTR_BYTES_MAX - 16;
 /// Longest catalog payload.
 pub(crate) const CATALOG_BYTES_MAX: usize =
     CATALOG_HEAD + MAX_VOLUMES as usize * (ENTRY_BYTES + MAX_NAME.next_multiple_of(RECORD_ALIGN));

@@ -11,6 +11,8 @@ mod crew;
 #[cfg(test)]
 mod damage_tests;
 mod filter;
+#[cfg(test)]
+mod hostile_tests;
 mod import;
 mod label;
 mod layout;

@@ -301,6 +301,12 @@ impl Opened {
                 spec.bricks()
             )));
         }
+        if entry.root.length as usize > PAGE_BYTES_MAX {
+            return Err(wrong(format!(
+                "a root page of {} bytes where {PAGE_BYTES_MAX} are the most",
+                entry.root.length
+            )));
+        }
         spec.name = entry.name.clone();
         if !entry.history.is_none() {
             self.read_record(&entry.history, RecordKind::History, &at_root, &mut buffer)

@@ -1,6 +1,6 @@
 //! What a volume is before it has samples, and what is known of one that is finished.
 
-use super::layout::{MAX_BRICKS, MAX_DIM, MAX_NAME, is_brick_edge};
+use super::layout::{MAX_BRICKS, MAX_DIM, MAX_HISTORY, MAX_NAME, is_brick_edge};
 use super::value::exact_bits_of;
 use crate::error::{Error, ErrorKind, Result};
 use crate::field::Range;
@@ -85,6 +85,16 @@ impl VolumeSpec {
             return Err(Error::new(
                 ErrorKind::LimitExceeded,
                 format!("a name of {} bytes: at most {MAX_NAME}", self.name.len()),
+            ));
+        }
+        // Here and not when it is written, which is after all the work.
+        if self.history.len() > MAX_HISTORY {
+            return Err(Error::new(
+                ErrorKind::LimitExceeded,
+                format!(
+                    "a history of {} bytes: at most {MAX_HISTORY}",
+                    self.history.len()
+                ),
             ));
         }
         self.grid.index_to_world.validate()?;
@@ -181,6 +191,7 @@ mod tests {
         assert!(bad(&|s| s.background = f64::NAN).contains("NaN"));
         assert!(bad(&|s| s.brick_edge = 12).contains("12"));
         assert!(bad(&|s| s.name = "x".repeat(256)).contains("255"));
+        assert!(bad(&|s| s.history = "x".repeat(1 << 20)).contains("1048560"));
         assert!(bad(&|s| s.grid.domain.max[1] = 0).contains("no samples"));
         assert!(bad(&|s| s.grid.domain.max[1] = i32::MAX).contains("134217728"));
         assert!(bad(&|s| s.grid.index_to_world.rows[0][0] = 0.0).contains("flattens"));

@@ -230,8 +230,12 @@ fn constants_at_every_level_become_tiles() {
         let writer = VolumeWriter::create_in(storage.clone(), Path::new("test"), &spec, &budget)
             .expect("good");
         writer.put_constant([0; 3], level, 9.0).expect("puts");
-        let twice = writer.put_brick([0; 3], &[1; 512]).expect_err("covered");
-        assert!(twice.to_string().contains("twice"), "{twice}");
+        for brick in [[0; 3], [0; 3], [(1 << level) - 1, 0, 0]] {
+            let brick = brick.map(|b: u32| b.min(7));
+            let varied: Vec<u8> = (0..512).map(|n| n as u8).collect();
+            let twice = writer.put_brick(brick, &varied).expect_err("covered");
+            assert!(twice.to_string().contains("twice"), "{twice}");
+        }
         assert!(
             writer.put_constant([1, 0, 0], 1, 9.0).is_err(),
             "off its lattice"

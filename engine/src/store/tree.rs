@@ -105,25 +105,31 @@ impl Tree {
     /// The page of `level` that holds `brick`, made together with its parents when new.
     fn page(&mut self, brick: [u32; 3], level: u8) -> Result<&mut Pending> {
         let key_at = |level: u8| morton_encode(page_origin(brick, level));
-        let mut below_is_new = false;
-        for above in level..=self.levels.len() as u8 {
-            let map = &mut self.levels[usize::from(above) - 1];
-            let is_new = !map.contains_key(&key_at(above));
-            let page = map.entry(key_at(above)).or_default();
-            if below_is_new {
-                let slot = slot_of(brick, above);
-                if has(&page.seen, slot) {
-                    return Err(twice(brick));
-                }
-                set(&mut page.seen, slot);
-            }
-            if is_new {
-                self.charge(PENDING_BYTES)?;
-            }
-            below_is_new = is_new;
-            if !is_new {
-                break;
-            }
+        let top = self.levels.len() as u8;
+        // The first page above that exists. A refusal changes nothing: a page that was made below a
+        // tile would take the next brick without a word.
+        let known = (level..=top)
+            .find(|&above| self.levels[usize::from(above) - 1].contains_key(&key_at(above)));
+        if let Some(above) = known
+            && above > level
+            && has(
+                &self.levels[usize::from(above) - 1][&key_at(above)].seen,
+                slot_of(brick, above),
+            )
+        {
+            return Err(twice(brick));
+        }
+        let new = level..known.unwrap_or(top + 1);
+        self.charge(PENDING_BYTES * new.len() as u64)?;
+        for above in new.clone() {
+            self.levels[usize::from(above) - 1].insert(key_at(above), Pending::default());
+        }
+        for child in new.filter(|&child| child < top) {
+            let page = self.levels[usize::from(child)].get_mut(&key_at(child + 1));
+            set(
+                &mut page.expect("known or made above").seen,
+                slot_of(brick, child + 1),
+            );
         }
         Ok(self.levels[usize::from(level) - 1]
             .get_mut(&key_at(level))

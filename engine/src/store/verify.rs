@@ -3,7 +3,7 @@
 
 use super::codec::decode;
 use super::layout::*;
-use super::open::{Contents, Opened};
+use super::open::{Contents, Opened, longest_payload};
 use super::page::{Page, PageRules, Slot, slot_origin};
 use super::record::{self, Footer, RecordKind, Ref, parse_head};
 use super::spec::{VolumeInfo, VolumeSpec, page_edge};
@@ -41,6 +41,10 @@ pub struct Report {
 
 /// Most problems that a report lists.
 pub const MAX_PROBLEMS: usize = 1000;
+
+/// Damage may make the search read some stretches twice; a forged file would make it read a
+/// megabyte for every eight bytes.
+const SEARCH_TIMES: u64 = 8;
 
 /// One damaged place.
 #[derive(Clone, Debug, PartialEq)]
@@ -137,6 +141,7 @@ pub fn verify_in(storage: Arc<dyn Storage>, name: &Path, budget: &Budget) -> Res
         tiles: 0,
         tile_bricks: 0,
         stored: 0,
+        search_bytes: file.length.saturating_mul(SEARCH_TIMES),
     };
     walk.tree(&contents)?;
     walk.log()?;
@@ -155,6 +160,8 @@ struct Walk<'a> {
     tiles: u64,
     tile_bricks: u64,
     stored: u64,
+    /// Bytes that the search for whole records in damaged stretches may still read.
+    search_bytes: u64,
 }
 
 impl Walk<'_> {
@@ -365,6 +372,8 @@ impl Walk<'_> {
     }
 
     /// The next place after `from` where a whole record starts.
+    ///
+    /// Gives `end` where false starts of records cost too many reads: a file may be made of them.
     fn next_record(&mut self, from: u64, end: u64) -> Result<u64> {
         let mut at = from + RECORD_ALIGN as u64;
         let mut window = [0; SECTOR];
@@ -374,12 +383,23 @@ impl Walk<'_> {
                 .storage
                 .read_at(&mut window[..n], at)
                 .map_err(|e| Error::io(&self.file.path, &format!("reading at offset {at}"), e))?;
+            self.budget.check_cancelled()?;
             for step in (0..n.saturating_sub(RECORD_HEADER - 1)).step_by(RECORD_ALIGN) {
-                if parse_head(&window[step..]).is_some()
-                    && self
-                        .file
-                        .record_at(at + step as u64, &mut self.buffer)?
-                        .is_some()
+                let Some((head, length, _)) = parse_head(&window[step..]) else {
+                    continue;
+                };
+                let longest = longest_payload(head.kind).min(length as usize);
+                let Some(left) = self.search_bytes.checked_sub(longest as u64) else {
+                    self.report
+                        .notes
+                        .push(format!("the search for records ended at offset {at}"));
+                    return Ok(end);
+                };
+                self.search_bytes = left;
+                if self
+                    .file
+                    .record_at(at + step as u64, &mut self.buffer)?
+                    .is_some()
                 {
                     return Ok(at + step as u64);
                 }

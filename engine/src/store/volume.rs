@@ -314,8 +314,9 @@ impl Volume {
             "decoding a brick",
         )?;
         Ok(Buffers {
-            record: Vec::new(),
-            planes: Vec::new(),
+            // Never grown: growth by doubling would go beyond the permit.
+            record: Vec::with_capacity(record_bytes(self.rules.brick_bytes) as usize),
+            planes: Vec::with_capacity(bytes as usize),
             _permit: permit,
         })
     }
