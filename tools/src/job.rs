@@ -1,9 +1,9 @@
 //! One run of a command: its budget, its messages, its signals.
 
-use crate::args::{Limits, Say};
-use crate::progress::Watcher;
+use crate::args::{Limits, ProgressMode, Say};
+use crate::progress::{self, Watcher};
 use crate::system;
-use brickmarch::{Budget, CancelToken};
+use brickmarch::{Budget, CancelToken, Result};
 use std::io::Write;
 use std::sync::atomic::{AtomicI32, Ordering};
 use std::time::Instant;
@@ -45,7 +45,22 @@ impl Job {
 
     /// Shows the progress of the budget until the result is dropped.
     pub(crate) fn watch(&self, doing: &str) -> Watcher {
-        Watcher::start(doing, &self.budget, &self.say)
+        Watcher::start(doing, 0, &self.budget, &self.say)
+    }
+
+    /// The same for work that does not know its own size: `count` does, and is asked only when
+    /// somebody looks.
+    ///
+    /// # Errors
+    /// Those of `count`.
+    pub(crate) fn watch_counted(
+        &self,
+        doing: &str,
+        count: impl FnOnce() -> Result<u64>,
+    ) -> Result<Watcher> {
+        let seen = progress::mode(&self.say) != ProgressMode::None;
+        let total = if seen { count()? } else { 0 };
+        Ok(Watcher::start(doing, total, &self.budget, &self.say))
     }
 
     /// A message for people, on standard error; nothing with `--quiet`.

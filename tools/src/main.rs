@@ -48,17 +48,20 @@ fn main() -> ExitCode {
 
 /// Says on one line what went wrong; gives the exit code.
 fn report(error: &anyhow::Error) -> u8 {
-    let closed = |e: &std::io::Error| e.kind() == std::io::ErrorKind::BrokenPipe;
-    if error.downcast_ref::<std::io::Error>().is_some_and(closed) {
+    let io = error
+        .chain()
+        .find_map(|e| e.downcast_ref::<std::io::Error>());
+    if io.is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe) {
         return 0; // The reader of our results has seen enough.
     }
-    let line = format!("{error:#}").replace(['\n', '\r'], " ");
-    job::message(&format!("brickmarch: {line}"));
     let cancelled = error
         .downcast_ref::<brickmarch::Error>()
         .is_some_and(|e| e.kind() == brickmarch::ErrorKind::Cancelled);
-    match job::signal_exit_code() {
-        Some(code) if cancelled => code,
-        _ => 1,
+    if let (true, Some(code)) = (cancelled, job::signal_exit_code()) {
+        job::message("brickmarch: stopped by a signal; unfinished files were removed");
+        return code;
     }
+    let line = format!("{error:#}").replace(['\n', '\r'], " ");
+    job::message(&format!("brickmarch: {line}"));
+    1
 }

@@ -20,18 +20,12 @@ pub(crate) struct Watcher {
 }
 
 impl Watcher {
-    /// Starts to show the progress of `budget`, as `say` wants it.
-    pub(crate) fn start(doing: &str, budget: &Budget, say: &Say) -> Watcher {
-        let terminal = std::io::stderr().is_terminal();
-        let mode = match say.progress {
-            _ if say.quiet => ProgressMode::None,
-            ProgressMode::Auto if say.json => ProgressMode::None,
-            ProgressMode::Auto if terminal => ProgressMode::Bar,
-            ProgressMode::Auto => ProgressMode::Plain,
-            other => other,
-        };
+    /// Starts to show the progress of `budget` as `say` wants it; `total` is 0 where it is unknown
+    /// or where the operation will say.
+    pub(crate) fn start(doing: &str, total: u64, budget: &Budget, say: &Say) -> Watcher {
+        let mode = mode(say);
         let progress = budget.progress().clone();
-        progress.start(0);
+        progress.start(total);
         let doing = doing.to_string();
         let (stop, stopped) = mpsc::channel();
         let show = move || match mode {
@@ -49,6 +43,17 @@ impl Watcher {
             stop: Some(stop),
             thread,
         }
+    }
+}
+
+/// How progress is shown, never `Auto`.
+pub(crate) fn mode(say: &Say) -> ProgressMode {
+    match say.progress {
+        _ if say.quiet => ProgressMode::None,
+        ProgressMode::Auto if say.json => ProgressMode::None,
+        ProgressMode::Auto if std::io::stderr().is_terminal() => ProgressMode::Bar,
+        ProgressMode::Auto => ProgressMode::Plain,
+        other => other,
     }
 }
 

@@ -1,7 +1,7 @@
 //! `demo`: the whole pipeline on a real scan and on a field that is larger than the memory allowed.
 
 use super::import::import_file;
-use super::mesh::{add_figures, pass};
+use super::mesh::{add_figures, count_work, pass};
 use super::slice;
 use super::{named, seconds, thousands};
 use crate::Outcome;
@@ -28,6 +28,8 @@ const SCAN: &[u8] = include_bytes!("../../assets/ct_abdomen_crop128_i16.nrrd");
 const SCAN_NOTICE: &str = include_str!("../../assets/NOTICE.md");
 /// Bone, in Hounsfield units.
 const BONE: f32 = 200.0;
+/// In less memory than this the pictures are half as wide.
+const LARGE_PICTURE_BYTES: u64 = 128 << 20;
 /// First line of the file by which a later run knows that the folder is its own.
 const MARK: &str = "Results of `brickmarch demo`; a later run replaces them.";
 
@@ -108,9 +110,19 @@ impl Out<'_> {
 
     /// Runs a step, and says what came of it and how long it took.
     fn step<T>(&self, name: &str, run: impl FnOnce() -> Result<(T, String)>) -> Result<(T, f64)> {
+        self.counted_step(name, || Ok(0), run)
+    }
+
+    /// A step whose work is counted beforehand by `count`.
+    fn counted_step<T>(
+        &self,
+        name: &str,
+        count: impl FnOnce() -> Result<u64>,
+        run: impl FnOnce() -> Result<(T, String)>,
+    ) -> Result<(T, f64)> {
         let begun = Instant::now();
         let (value, text) = {
-            let _watch = self.job.watch(name);
+            let _watch = self.job.watch_counted(name, count)?;
             run()?
         };
         let took = begun.elapsed().as_secs_f64();
@@ -348,6 +360,10 @@ fn draw_mesh(
     look: &Look,
 ) -> Result<Drawn> {
     let budget = &out.job.budget;
+    let mut look = look.clone();
+    if budget.memory_bytes() < LARGE_PICTURE_BYTES {
+        (look.width, look.height) = (600, 450);
+    }
     let mut file = create_mesh_sink(path, out.replace == Replace::Yes)?;
     let bounds = crossing_bounds(
         volume,
@@ -355,8 +371,9 @@ fn draw_mesh(
         options.iso,
         volume.kind().inside(),
     )?;
-    let mut raster = Raster::new(look, &bounds, budget)?;
-    let ((stats, figures), seconds) = out.step("mesh", || {
+    let mut raster = Raster::new(&look, &bounds, budget)?;
+    let count = || count_work(volume, options, budget);
+    let ((stats, figures), seconds) = out.counted_step("mesh", count, || {
         let made = pass(
             volume,
             options,

@@ -196,7 +196,7 @@ fn make(
         keys: args.keys,
     };
     let (stats, figures) = {
-        let _watch = job.watch("meshing");
+        let _watch = job.watch_counted("meshing", || count_work(field, options, &job.budget))?;
         let raster = raster.as_mut().map(|r| r as &mut dyn MeshSink);
         pass(field, options, &job.budget, file.as_mut(), wanted, raster)?
     };
@@ -275,11 +275,22 @@ fn open_raster(
     Raster::new(&look, &bounds, budget)
 }
 
+/// Blocks that extraction will look at; 0 where seeds decide.
+///
+/// # Errors
+/// What the field reports.
+pub(super) fn count_work(field: &dyn Field, options: &Extract, budget: &Budget) -> Result<u64> {
+    if !options.seeds.is_empty() {
+        return Ok(0);
+    }
+    let region = options.region.unwrap_or(field.grid().domain);
+    crossed_blocks(field, region, options.iso, budget)
+}
+
 /// Counts the blocks that the surface can cross, and says what meshing them takes.
 fn dry_run(args: &Mesh, job: &Job, field: &dyn Field, options: &Extract) -> Result<Outcome> {
-    let domain = field.grid().domain;
-    let region = options.region.unwrap_or(domain);
     let edge = field.block_edge();
+    let region = options.region.unwrap_or(field.grid().domain);
     let blocks = crossed_blocks(field, region, options.iso, &job.budget)?;
     let bytes = blocks * u64::from(edge).pow(3) * 4;
     let memory = job.budget.memory_bytes();
