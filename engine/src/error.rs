@@ -42,8 +42,6 @@ pub enum ErrorKind {
 pub struct Error {
     kind: ErrorKind,
     message: String,
-    #[source]
-    source: Option<std::io::Error>,
 }
 
 /// Result of every fallible function of the engine.
@@ -61,7 +59,6 @@ impl Error {
         Self {
             kind,
             message: message.into(),
-            source: None,
         }
     }
 
@@ -72,15 +69,15 @@ impl Error {
 
     /// Wraps an operating system error that happened on `path` while `doing` ("reading the header").
     pub fn io(path: &Path, doing: &str, source: std::io::Error) -> Self {
-        let kind = if source.kind() == std::io::ErrorKind::UnexpectedEof {
-            ErrorKind::Truncated
-        } else {
-            ErrorKind::Io
+        let kind = match source.kind() {
+            std::io::ErrorKind::UnexpectedEof => ErrorKind::Truncated,
+            std::io::ErrorKind::InvalidData => ErrorKind::Damaged,
+            _ => ErrorKind::Io,
         };
+        // The text of the system is part of the message, so it is not a source beside it.
         Self {
             kind,
             message: format!("{}: {doing}: {source}", path.display()),
-            source: Some(source),
         }
     }
 
