@@ -3,6 +3,7 @@
 
 #![allow(clippy::print_stdout, reason = "a benchmark prints")]
 
+mod brick_edge;
 mod kernel;
 
 fn main() {
@@ -12,5 +13,8 @@ fn main() {
         .unwrap_or_default();
     if "kernel".contains(&filter) {
         kernel::run();
+    }
+    if "brick_edge".contains(&filter) {
+        brick_edge::run();
     }
 }
