@@ -315,7 +315,11 @@ fn wrong_sources_are_refused() {
                 1,
                 &["type.nrrd", "quaternion"],
             ),
-            case("import @zero.nrrd @out.bvol", 1, &["zero.nrrd", "30 x 0 x 26"]),
+            case(
+                "import @zero.nrrd @out.bvol",
+                1,
+                &["zero.nrrd", "30 x 0 x 26"],
+            ),
             case(
                 "import @negative.nrrd @out.bvol",
                 1,
@@ -327,11 +331,7 @@ fn wrong_sources_are_refused() {
                 &["absurd.nrrd", "4000000000"],
             ),
             case("import @large.nrrd @out.bvol", 1, &["large.nrrd"]),
-            case(
-                "import @flat.nrrd @out.bvol",
-                1,
-                &["flat.nrrd", "three"],
-            ),
+            case("import @flat.nrrd @out.bvol", 1, &["flat.nrrd", "three"]),
             case("import @gone.nhdr @out.bvol", 1, &["nowhere.raw"]),
             case("import @gzip.nrrd @out.bvol", 1, &["gzip.nrrd"]),
             case("import @cut.npy @out.bvol", 1, &["cut.npy"]),
@@ -360,7 +360,11 @@ fn wrong_sources_are_refused() {
             case("import @cut.nii.gz @out.bvol", 1, &["cut.nii.gz"]),
             case("import @type.mha @out.bvol", 1, &["type.mha", "MET_STRING"]),
             case("import @cut.mha @out.bvol", 1, &["cut.mha"]),
-            case("import @zero.mha @out.bvol", 1, &["zero.mha", "0 x 21 x 26"]),
+            case(
+                "import @zero.mha @out.bvol",
+                1,
+                &["zero.mha", "0 x 21 x 26"],
+            ),
             case("import @gone.mhd @out.bvol", 1, &["nowhere.raw"]),
             case("import @magic.mha @out.bvol", 1, &["magic.mha"]),
             case(
