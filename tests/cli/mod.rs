@@ -3,6 +3,7 @@
 mod bad_input;
 mod pipeline;
 mod real_data;
+mod signals;
 
 use crate::support::fields::sphere;
 use crate::support::scratch::{Scratch, f32_bytes};

@@ -158,3 +158,16 @@ pub(crate) fn limited(args: impl IntoIterator<Item = String>, kib: u32) -> Run {
         .arg(program)
         .args(args))
 }
+
+/// Starts `brickmarch` without waiting for it.
+pub(crate) fn start(args: impl IntoIterator<Item = String>) -> std::process::Child {
+    let mut command = Command::new(binary("brickmarch-tools", "brickmarch"));
+    command
+        .args(args)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null());
+    command
+        .spawn()
+        .unwrap_or_else(|e| panic!("{command:?}: {e}"))
+}
