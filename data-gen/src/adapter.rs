@@ -1,6 +1,7 @@
 //! A scene as a field of the engine: the only part of this library that knows the engine.
 
 use crate::fields::{Meaning, Sample, Scene, SceneName};
+use brickmarch::store::VolumeSpec;
 use brickmarch::{Affine, Box3, Field, Grid, Kind, Range, Result, SampleType, Samples, Units};
 
 /// A [`Scene`] that the engine can read.
@@ -40,6 +41,19 @@ impl SceneField {
     /// The scene.
     pub fn scene(&self) -> &Scene {
         &self.scene
+    }
+
+    /// What a volume file of the scene is.
+    pub fn volume_spec(&self) -> VolumeSpec {
+        let name = self.scene.name().name();
+        let [x, y, z] = self.scene.size();
+        VolumeSpec {
+            kind: self.kind(),
+            background: f64::from(self.scene.background()),
+            history: format!("brickmarch-data-gen: {name}, {x} x {y} x {z}"),
+            name: name.to_owned(),
+            ..VolumeSpec::new(self.grid, self.sample_type())
+        }
     }
 
     /// Type that stores the samples without loss.

@@ -87,6 +87,9 @@ pub(crate) struct OutputArgs {
     /// With --type i16: samples are round(value * scale). 16 for distances, 1000 for others.
     #[arg(long, allow_negative_numbers = true)]
     scale: Option<f32>,
+    /// For .bvol: edge of the bricks, 8, 16, 32 or 64.
+    #[arg(long)]
+    brick: Option<u32>,
     /// Memory for data, such as 64MiB.
     #[arg(long, default_value = "256MiB", value_parser = parse_bytes)]
     mem: u64,

@@ -2,8 +2,8 @@
 
 use crate::OutputArgs;
 use anyhow::{Context, Result, bail};
-use brickmarch::Budget;
-use brickmarch_data_gen::{Sample, Scene};
+use brickmarch::{Budget, SampleType};
+use brickmarch_data_gen::{Sample, Scene, SceneField};
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
@@ -25,6 +25,7 @@ pub(crate) fn write(
     }
     match path.extension().and_then(|e| e.to_str()) {
         Some("raw") => write_aside(path, |file| write_raw(&scene, sample, file, budget))?,
+        Some("bvol") => write_volume(scene, sample, output, budget)?,
         _ => bail!(
             "{}: the extension says what is written: use .raw or .bvol",
             path.display()
@@ -32,6 +33,20 @@ pub(crate) fn write(
     }
     let info = fs::metadata(path).with_context(|| path.display().to_string())?;
     Ok(info.len())
+}
+
+fn write_volume(scene: Scene, sample: Sample, output: &OutputArgs, budget: &Budget) -> Result<()> {
+    let field = SceneField::new(scene);
+    let mut spec = field.volume_spec();
+    spec.sample = match sample {
+        Sample::F32 => SampleType::F32,
+        Sample::I16 => SampleType::I16,
+    };
+    if let Some(edge) = output.brick {
+        spec.brick_edge = edge;
+    }
+    brickmarch::store::write_field(&field, &spec, &output.out, budget)?;
+    Ok(())
 }
 
 /// Lets `fill` write a file beside `path`, syncs it and moves it to `path`.

@@ -1,5 +1,7 @@
 //! The command line: files hold the scene, appear whole or not at all, and stay in the budget.
 
+use brickmarch::store::Volume;
+use brickmarch::{Budget, Field, Samples};
 use brickmarch_data_gen::{Scene, SceneName};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -108,6 +110,49 @@ fn integers_are_scaled_and_rounded() {
             .collect();
         assert!(bytes == expected, "{arguments}");
     }
+}
+
+#[test]
+fn volumes_hold_the_samples() {
+    let scratch = Scratch::new("volumes");
+    for (arguments, name, size) in [
+        (
+            "level-set gyroid --n 70",
+            SceneName::LevelSetGyroid,
+            [70; 3],
+        ),
+        (
+            "level-set sphere --n 70 --brick 8",
+            SceneName::LevelSetSphere,
+            [70; 3],
+        ),
+        ("field ct --size 50,40,30", SceneName::Ct, [50, 40, 30]),
+        (
+            "field ct --n 40 --type f32 --brick 32",
+            SceneName::Ct,
+            [40; 3],
+        ),
+        ("field noise --n 40 --threads 1", SceneName::Noise, [40; 3]),
+    ] {
+        let scene = Scene::with_size(name, size).expect("a size");
+        scratch.ok(&format!("{arguments} --out a.bvol --overwrite"));
+        let budget = Budget::mib(64);
+        let volume = Volume::open(&scratch.0.join("a.bvol"), &budget).expect("a volume");
+        let domain = volume.grid().domain;
+        assert_eq!(domain.size(), size);
+        assert_eq!(volume.spec().name, name.name());
+        assert_eq!(volume.spec().background, f64::from(scene.background()));
+        let mut values = vec![f32::NAN; domain.count() as usize];
+        let mut out = Samples::dense(&mut values, domain);
+        volume.read(domain, &mut out).expect("the samples");
+        assert!(values == samples(&scene), "{arguments}");
+    }
+    assert_eq!(scratch.files(), ["a.bvol"]);
+    let error = scratch.refused("field ct --n 20 --out a.bvol");
+    assert!(error.contains("--overwrite"), "{error}");
+    let error = scratch.refused("field ct --n 20 --brick 12 --out b.bvol");
+    assert!(error.contains("brick edge 12"), "{error}");
+    assert_eq!(scratch.files(), ["a.bvol"]);
 }
 
 #[test]
