@@ -8,5 +8,6 @@ mod bounds;
 mod cli;
 mod extraction;
 mod reference;
+mod store;
 mod support;
 mod volume;

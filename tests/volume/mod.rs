@@ -31,31 +31,45 @@ fn stored(sample: SampleType, values: &[f32]) -> Vec<f32> {
     out
 }
 
+/// Raw samples of a whole domain.
+pub(crate) struct Dense<'a> {
+    pub(crate) spec: &'a VolumeSpec,
+    pub(crate) raw: &'a [u8],
+}
+
+impl Dense<'_> {
+    /// Puts every brick.
+    pub(crate) fn put_all(&self, writer: &VolumeWriter) {
+        let spec = self.spec;
+        let domain = spec.grid.domain;
+        let width = spec.sample.bytes();
+        let edge = spec.brick_edge as usize;
+        let [bx, by, bz] = writer.bricks();
+        for brick in (0..bx * by * bz).map(|n| [n % bx, n / bx % by, n / bx / by]) {
+            // Beyond the domain anything may stand; it must not show.
+            let mut bytes = vec![0xa5; edge.pow(3) * width];
+            for (n, out) in bytes.chunks_exact_mut(width).enumerate() {
+                let at = [n % edge, n / edge % edge, n / edge / edge];
+                let p: [i32; 3] = std::array::from_fn(|a| {
+                    domain.min[a] + (brick[a] as usize * edge + at[a]) as i32
+                });
+                if domain.contains(p) {
+                    out.copy_from_slice(&self.raw[domain.offset_of(p) * width..][..width]);
+                }
+            }
+            if spec.sample == SampleType::Bit {
+                bytes.iter_mut().for_each(|b| *b = u8::from(*b == 1));
+            }
+            writer.put_brick(brick, &bytes).expect("the brick is new");
+        }
+    }
+}
+
 /// Writes a dense array brick by brick.
 pub(crate) fn write(path: &Path, spec: &VolumeSpec, values: &[f32]) {
-    let budget = Budget::mib(64);
-    let writer = VolumeWriter::create(path, spec, &budget).expect("a new file");
-    let domain = spec.grid.domain;
-    let width = spec.sample.bytes();
-    let raw = raw_of(spec.sample, values);
-    let edge = spec.brick_edge as usize;
-    let [bx, by, bz] = writer.bricks();
-    for brick in (0..bx * by * bz).map(|n| [n % bx, n / bx % by, n / bx / by]) {
-        // Beyond the domain anything may stand; it must not show.
-        let mut bytes = vec![0xa5; edge.pow(3) * width];
-        for (n, out) in bytes.chunks_exact_mut(width).enumerate() {
-            let at = [n % edge, n / edge % edge, n / edge / edge];
-            let p =
-                std::array::from_fn(|a| domain.min[a] + (brick[a] as usize * edge + at[a]) as i32);
-            if domain.contains(p) {
-                out.copy_from_slice(&raw[domain.offset_of(p) * width..][..width]);
-            }
-        }
-        if spec.sample == SampleType::Bit {
-            bytes.iter_mut().for_each(|b| *b = u8::from(*b == 1));
-        }
-        writer.put_brick(brick, &bytes).expect("the brick is new");
-    }
+    let writer = VolumeWriter::create(path, spec, &Budget::mib(64)).expect("a new file");
+    let raw = &raw_of(spec.sample, values);
+    Dense { spec, raw }.put_all(&writer);
     writer.finish().expect("it can be committed");
 }
 
@@ -66,7 +80,7 @@ fn file(scratch: &Scratch, name: &str, spec: &VolumeSpec, values: &[f32]) -> Pat
     path
 }
 
-fn read_all(volume: &Volume, region: Box3) -> brickmarch::Result<Vec<u8>> {
+pub(crate) fn read_all(volume: &Volume, region: Box3) -> brickmarch::Result<Vec<u8>> {
     let mut out = vec![0; region.count() as usize * volume.spec().sample.bytes()];
     volume.read_raw(region, &mut out).map(|()| out)
 }

@@ -13,6 +13,9 @@ mod damage_tests;
 mod filter;
 #[cfg(test)]
 mod hostile_tests;
+#[cfg(feature = "fuzzing")]
+#[doc(hidden)]
+pub mod fuzzing;
 mod import;
 mod label;
 mod layout;

@@ -1,0 +1,8 @@
+//! Any bytes as a npy file.
+#![no_main]
+use libfuzzer_sys::fuzz_target;
+
+#[path = "../file.rs"]
+mod file;
+
+fuzz_target!(|data: &[u8]| file::import("npy", data, &Default::default()));
