@@ -24,8 +24,9 @@ pub fn import(extension: &str, data: &[u8], options: &OpenOptions) {
         return;
     };
     let wanted = source.grid.domain.count() as u128 * source.sample.bytes() as u128;
+    // Smaller bricks may be too many for the format, which the writer says.
     source
-        .spec(16)
+        .spec(64)
         .validate()
         .expect("a source makes a good volume");
     let (mut total, mut buffer) = (0u128, vec![0; 64 << 10]);

@@ -3,6 +3,7 @@
 
 mod damage;
 mod golden;
+mod handmade;
 mod hostile;
 mod image;
 mod reader;

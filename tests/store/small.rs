@@ -28,6 +28,8 @@ enum Part {
     Few,
     Ramp,
     Smooth,
+    /// Noise in the lowest byte only.
+    LowByte,
 }
 
 fn value(part: Part, sample: SampleType, p: [u32; 3]) -> f64 {
@@ -45,6 +47,7 @@ fn value(part: Part, sample: SampleType, p: [u32; 3]) -> f64 {
     // Whole arithmetic and square roots only: the same on every machine.
     let unit = match part {
         Part::Background => return 0.0,
+        Part::LowByte => return f64::from(0x1200 + hash(p) % 256),
         Part::Constant => 0.75,
         Part::Noise => f64::from(hash(p)) / 4294967295.0,
         Part::Few => f64::from(hash(p) % 29 / 28),
@@ -91,7 +94,7 @@ fn make(
 
 /// All of them, about 24 KiB a file.
 pub(crate) fn all() -> Vec<Small> {
-    use Part::{Background, Constant, Few, Noise, Ramp, Smooth};
+    use Part::{Background, Constant, Few, LowByte, Noise, Ramp, Smooth};
     use SampleType::{Bit, F32, I8, I16, I32, U8, U16, U32};
     let six = [Few, Background, Constant, Noise, Ramp, Smooth];
     let plain = |_: &mut VolumeSpec, _: &mut Vec<u8>| {};
@@ -145,6 +148,8 @@ pub(crate) fn all() -> Vec<Small> {
             ],
             plain,
         ),
+        make("i32_planes", I32, Kind::Density, &[LowByte, Ramp], plain),
+        make("u16_planes", U16, Kind::Density, &[LowByte, LowByte], plain),
         make(
             "u16_edge_16",
             U16,

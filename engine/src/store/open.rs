@@ -134,7 +134,7 @@ impl Opened {
             let Some((head, reference)) = self.record_at(at, &mut buffer)? else {
                 return Ok(None);
             };
-            if head.generation != root.generation + 1 {
+            if Some(head.generation) != root.generation.checked_add(1) {
                 return Ok(None);
             }
             if head.kind == RecordKind::Footer as u8 {
@@ -154,7 +154,10 @@ impl Opened {
                     log_end,
                     catalog: footer.catalog,
                     footer: at,
-                    live: footer.live,
+                    // As the superblock has it: with the footer itself.
+                    live: footer
+                        .live
+                        .saturating_add(record_bytes(reference.length)),
                     garbage: footer.garbage,
                     writer: 0,
                     index: [0, 0],
