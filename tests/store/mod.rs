@@ -1,12 +1,9 @@
-//! The file format from outside: damage of every byte, hostile files, files of every version, and
-//! an independent reader.
+//! The file format from outside: damage of every byte, and files of every version.
 
 mod damage;
 mod golden;
 mod handmade;
-mod hostile;
 mod image;
-mod reader;
 mod small;
 
 use brickmarch::store::{MemoryStorage, Volume};

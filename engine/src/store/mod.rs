@@ -11,11 +11,11 @@ mod crew;
 #[cfg(test)]
 mod damage_tests;
 mod filter;
-#[cfg(test)]
-mod hostile_tests;
 #[cfg(feature = "fuzzing")]
 #[doc(hidden)]
 pub mod fuzzing;
+#[cfg(test)]
+mod hostile_tests;
 mod import;
 mod label;
 mod layout;

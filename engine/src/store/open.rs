@@ -155,9 +155,7 @@ impl Opened {
                     catalog: footer.catalog,
                     footer: at,
                     // As the superblock has it: with the footer itself.
-                    live: footer
-                        .live
-                        .saturating_add(record_bytes(reference.length)),
+                    live: footer.live.saturating_add(record_bytes(reference.length)),
                     garbage: footer.garbage,
                     writer: 0,
                     index: [0, 0],
