@@ -2,8 +2,8 @@
 
 use super::{Boundary, Extract, extract};
 use crate::field::Dense;
-use crate::mesh::{Collect, EdgeKey};
-use crate::{Affine, Box3, Budget, ErrorKind, Grid, Inside, Kind, Mesh};
+use crate::mesh::{Collect, Count, EdgeKey, Layout, MeshSink, Piece, Totals};
+use crate::{Affine, Box3, Budget, ErrorKind, Grid, Inside, Kind, Mesh, Result};
 use std::collections::{BTreeSet, HashMap};
 
 /// xorshift64*, fixed.
@@ -301,6 +301,50 @@ fn a_seed_finds_its_component_and_no_other() {
         1,
     );
     assert_eq!(keyed(&both), keyed(&all));
+}
+
+/// Counts, and looks at the number of every local vertex, as file sinks may.
+#[derive(Default)]
+struct LooksAtAll(Count);
+
+impl MeshSink for LooksAtAll {
+    fn begin(&mut self, layout: Layout) -> Result<()> {
+        self.0.begin(layout)
+    }
+
+    fn write(&self, piece: &Piece) -> Result<()> {
+        let end = piece.first_vertex + piece.own.len() as u64;
+        assert!(
+            piece.ids.iter().all(|&id| id < end),
+            "a number that no vertex has"
+        );
+        Ok(())
+    }
+
+    fn finish(&mut self, totals: Totals) -> Result<()> {
+        self.0.finish(totals)
+    }
+}
+
+#[test]
+fn pieces_of_one_of_many_surfaces_hold_numbers_that_exist() {
+    // Two shells in one block: the walk along one leaves the vertices of the other alone.
+    let mut field = dense(Box3::from_size([24, 24, 24]), 16, |p| {
+        let r = p
+            .map(|v| (v as f32 - 11.3).powi(2))
+            .iter()
+            .sum::<f32>()
+            .sqrt();
+        ((r - 7.0).abs() - 1.2).max(0.0) - (r - 3.0).clamp(-0.5, 0.0) - 0.2
+    });
+    field.kind = Kind::Distance;
+    let options = Extract {
+        seeds: vec![[19, 11, 11]],
+        ..Extract::default()
+    };
+    let mut sink = LooksAtAll::default();
+    extract(&field, &options, &Budget::mib(64), &mut sink).expect("meshes");
+    assert!(sink.0.totals.triangles > 0);
 }
 
 #[test]

@@ -202,7 +202,8 @@ impl Walker<'_> {
                 }
                 id
             } else {
-                u64::MAX
+                // Of another surface: no triangle of the piece uses it, and sinks may look at it.
+                0
             };
             piece.ids.push(id);
         }
