@@ -3,7 +3,7 @@
 use super::layout::*;
 use super::record::Ref;
 use super::spec::VolumeSpec;
-use super::value::{KeyRange, bits_of, bits_of_key, f64_of, is_valid, key_of};
+use super::value::{KeyRange, bits_of, bits_of_key, f64_of, is_nan, is_valid, key_of};
 use crate::lattice::{Affine, Box3, Grid, Units};
 use crate::sample::{Kind, SampleType};
 
@@ -181,10 +181,18 @@ pub(crate) fn decode_attributes(bytes: &[u8]) -> Result<(VolumeSpec, KeyRange, C
         name: String::new(),
     };
     spec.validate().map_err(|e| e.to_string())?;
+    let end = |at: usize, what: &str| match value(at, what)? {
+        bits if is_nan(sample, bits) => Err(format!("{what} is NaN")),
+        bits => Ok(key_of(sample, bits)),
+    };
+    let has_nan = get_u32(bytes, ATTR_HAS_NAN);
+    if has_nan > 1 {
+        return Err(format!("the mark of NaN is {has_nan}, neither 0 nor 1"));
+    }
     let range = KeyRange {
-        low: key_of(sample, value(ATTR_MIN, "the minimum")?),
-        high: key_of(sample, value(ATTR_MAX, "the maximum")?),
-        has_nan: get_u32(bytes, ATTR_HAS_NAN) != 0,
+        low: end(ATTR_MIN, "the minimum")?,
+        high: end(ATTR_MAX, "the maximum")?,
+        has_nan: has_nan != 0,
     };
     let counts = Counts {
         bricks: get_u64(bytes, ATTR_BRICKS),

@@ -88,11 +88,27 @@ impl Opened {
                     b
                 }
             }
-            [Some(root), None] | [None, Some(root)] => self.roll_forward(root)?,
-            [None, None] => self.roll_forward(Superblock {
-                log_end: LOG_START,
-                ..Superblock::default()
-            })?,
+            [Some(root), None] | [None, Some(root)] => {
+                let newest = self.roll_forward(root)?;
+                // A superblock is written only after its commit is whole and synced: one that is
+                // torn has a whole commit behind the other. Without it either the older superblock
+                // is damaged, or the newest together with its commit.
+                let more = self.length > root.log_end;
+                if newest.generation == root.generation && root.generation > 0 && more {
+                    return Err(self.older_only(&root));
+                }
+                newest
+            }
+            [None, None] => {
+                let last = self.roll_forward(Superblock {
+                    log_end: LOG_START,
+                    ..Superblock::default()
+                })?;
+                if last.generation > 0 && self.commit_starts(&last)? {
+                    return Err(self.older_only(&last));
+                }
+                last
+            }
         };
         if root.generation == 0 {
             let kind = if self.length <= LOG_START {
@@ -115,6 +131,30 @@ impl Opened {
             ));
         }
         Ok(root)
+    }
+
+    /// An older state is never shown in place of a newer one that is damaged, nor where nobody can
+    /// tell.
+    fn older_only(&self, root: &Superblock) -> Error {
+        self.error(
+            ErrorKind::DamagedRoot,
+            format!(
+                "a superblock is damaged, and no whole commit follows generation {}: a newer one may be lost; \
+                 to read generation {} cut a copy of the file to {} bytes",
+                root.generation, root.generation, root.log_end
+            ),
+        )
+    }
+
+    /// Whether a record of the generation after `root` stands at its log end.
+    fn commit_starts(&self, root: &Superblock) -> Result<bool> {
+        let mut head = [0; RECORD_HEADER];
+        if root.log_end.saturating_add(RECORD_HEADER as u64) > self.length {
+            return Ok(false);
+        }
+        self.read_at(&mut head, root.log_end, "a record")?;
+        Ok(parse_head(&head)
+            .is_some_and(|(head, ..)| Some(head.generation) == root.generation.checked_add(1)))
     }
 
     /// Walks whole commits from the end of `from` and gives the root of the last.
@@ -245,6 +285,12 @@ impl Opened {
                 "another record than the one that its parent knows".into(),
             ));
         }
+        if head.generation > self.root.generation {
+            return Err(damaged(format!(
+                "a record of generation {} in generation {}",
+                head.generation, self.root.generation
+            )));
+        }
         if head.kind != kind as u8 {
             return Err(damaged(format!(
                 "a record of kind {} in its place",
@@ -263,13 +309,20 @@ impl Opened {
         let wrong = |what: String| self.error(ErrorKind::DamagedRoot, what);
         let mut buffer = Vec::new();
         let at_root = || "of the root".to_string();
-        self.read_record(
-            &self.root.catalog,
-            RecordKind::Catalog,
-            &at_root,
-            &mut buffer,
-        )
-        .map_err(root)?;
+        let head = self
+            .read_record(
+                &self.root.catalog,
+                RecordKind::Catalog,
+                &at_root,
+                &mut buffer,
+            )
+            .map_err(root)?;
+        if head.generation != self.root.generation {
+            return Err(wrong(format!(
+                "the catalog of generation {} in the root of generation {}",
+                head.generation, self.root.generation
+            )));
+        }
         let payload = &buffer[RECORD_HEADER..][..self.root.catalog.length as usize];
         let entries = catalog::decode_catalog(payload).map_err(wrong)?;
         let [entry] = <[Entry; 1]>::try_from(entries).map_err(|all| {

@@ -280,6 +280,18 @@ impl Walk<'_> {
     fn load_page(&mut self, level: u8, origin: [u32; 3], reference: Ref) -> Result<Page> {
         let place = || format!("of level {level} at brick {origin:?}");
         let head = self.read(&reference, RecordKind::Page, &place)?;
+        let [start, length] = self.file.root.index;
+        let end = reference.offset + record_bytes(reference.length);
+        let spanned = start <= reference.offset && end - start <= length;
+        if length > 0 && !spanned {
+            self.report.problem(
+                format!(
+                    "node page {} lies outside of the index span {start} + {length}",
+                    place()
+                ),
+                None,
+            );
+        }
         let damaged = |what: String| {
             self.file
                 .error(ErrorKind::Damaged, format!("node page {}: {what}", place()))
@@ -326,7 +338,7 @@ impl Walk<'_> {
         let end = self.file.root.log_end;
         let (mut at, mut start, mut chain, mut records) =
             (LOG_START, LOG_START, self.file.seed, 0u64);
-        let mut whole = true;
+        let (mut whole, mut all, mut last) = (true, 0u64, None);
         self.report.bytes += LOG_START;
         while at < end {
             self.budget.check_cancelled()?;
@@ -347,12 +359,18 @@ impl Walk<'_> {
             };
             let bytes = record_bytes(reference.length);
             self.report.records += 1;
+            all += bytes;
+            if at == LOG_START {
+                self.check_header_copy()?;
+            }
             self.report.bytes += bytes;
             self.budget.progress().add(bytes);
             if head.kind == RecordKind::Footer as u8 {
                 let payload = &self.buffer[RECORD_HEADER..][..reference.length as usize];
-                let fits = Footer::parse(payload)
+                let footer = Footer::parse(payload);
+                let fits = footer
                     .is_some_and(|f| (f.start, f.records, f.chain) == (start, records, chain));
+                last = footer.map(|f| (at, f.generation, f.catalog));
                 if whole && !fits {
                     self.report.problem(
                         format!("the footer at offset {at} does not fit its commit"),
@@ -367,6 +385,22 @@ impl Walk<'_> {
             chain = crc32c::crc32c_append(chain, &self.buffer[..RECORD_HEADER]);
             records += 1;
             at += bytes;
+        }
+        let root = &self.file.root;
+        if last.is_some_and(|l| l != (root.footer, root.generation, root.catalog)) {
+            self.report
+                .problem("the last footer is not that of the root", None);
+        }
+        // Damaged stretches hide records.
+        let intact = self.report.is_intact();
+        if intact && root.live.checked_add(root.garbage) != Some(all) {
+            self.report.problem(
+                format!(
+                    "the root counts {} live and {} dead bytes, the records have {all}",
+                    root.live, root.garbage
+                ),
+                None,
+            );
         }
         Ok(())
     }
@@ -409,6 +443,22 @@ impl Walk<'_> {
                 & !(RECORD_ALIGN as u64 - 1);
         }
         Ok(end)
+    }
+
+    /// The first record, which is in the buffer, holds the file header again.
+    fn check_header_copy(&mut self) -> Result<()> {
+        let mut header = vec![0; SECTOR];
+        self.file
+            .storage
+            .read_at(&mut header, 0)
+            .map_err(|e| Error::io(&self.file.path, "reading the header", e))?;
+        if record::parse_header(&header).is_ok()
+            && self.buffer.get(RECORD_HEADER..RECORD_HEADER + SECTOR) != Some(&header[..])
+        {
+            self.report
+                .problem("the copy of the file header is another one", None);
+        }
+        Ok(())
     }
 
     fn check_zero(&mut self, from: u64, to: u64) -> Result<()> {

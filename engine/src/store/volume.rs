@@ -108,6 +108,14 @@ impl Volume {
                 _ => e,
             })?);
         }
+        let background = KeyRange::of_bits(volume.spec.sample, volume.rules.background);
+        let found = volume.root.as_ref().map_or(background, |page| page.whole());
+        if found != volume.range {
+            return Err(volume.file.error(
+                ErrorKind::DamagedRoot,
+                "the range in the attributes is not that of the root page",
+            ));
+        }
         Ok(volume)
     }
 
