@@ -81,6 +81,13 @@ impl Error {
         }
     }
 
+    /// Puts `text` behind the message.
+    #[must_use]
+    pub(crate) fn followed_by(mut self, text: &str) -> Self {
+        self.message.push_str(text);
+        self
+    }
+
     /// Puts `context` (usually a path) in front of the message.
     #[must_use]
     pub fn context(mut self, context: impl fmt::Display) -> Self {

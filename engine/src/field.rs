@@ -7,7 +7,8 @@ use crate::sample::Kind;
 
 /// Smallest and largest value in a box, NaN aside, and whether there may be a NaN.
 ///
-/// A range is *conservative*: it may be wider than the truth, never narrower.
+/// A range is *conservative*: it may be wider than the truth, never narrower. -0 counts as below +0,
+/// so that a range of one value says all bits of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Range {
     /// Not larger than any value; `+inf` when there is none.
@@ -50,18 +51,27 @@ impl Range {
     /// Includes `value`.
     #[inline]
     pub fn add(&mut self, value: f32) {
-        // f32::min and max ignore NaN.
-        self.min = self.min.min(value);
-        self.max = self.max.max(value);
-        self.has_nan |= value.is_nan();
+        if value.is_nan() {
+            self.has_nan = true;
+            return;
+        }
+        // -0 below +0.
+        if value.total_cmp(&self.min).is_lt() {
+            self.min = value;
+        }
+        if value.total_cmp(&self.max).is_gt() {
+            self.max = value;
+        }
     }
 
     /// The range of both.
     #[must_use]
     pub fn union(self, other: Range) -> Range {
+        let low = |a: f32, b: f32| if b.total_cmp(&a).is_lt() { b } else { a };
+        let high = |a: f32, b: f32| if b.total_cmp(&a).is_gt() { b } else { a };
         Range {
-            min: self.min.min(other.min),
-            max: self.max.max(other.max),
+            min: low(self.min, other.min),
+            max: high(self.max, other.max),
             has_nan: self.has_nan || other.has_nan,
         }
     }

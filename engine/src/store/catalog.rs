@@ -22,6 +22,9 @@ pub(crate) struct Entry {
     pub(crate) history: Ref,
     pub(crate) root: Ref,
     pub(crate) root_level: u8,
+    /// 0: a volume of its own. n: `parent` with 2^n times its spacing.
+    pub(crate) lod: u8,
+    pub(crate) parent: u16,
     pub(crate) name: String,
 }
 
@@ -33,26 +36,29 @@ pub(crate) struct Counts {
     pub(crate) tile_bricks: u64,
     pub(crate) pages: u64,
     pub(crate) stored: u64,
+    /// Slabs that a running import has committed, and the checksum of their source bytes.
+    pub(crate) slabs: u32,
+    pub(crate) source_crc: u32,
 }
 
-/// The catalog payload of one volume.
-pub(crate) fn encode_catalog(entry: &Entry) -> Vec<u8> {
-    let mut bytes = vec![0; CATALOG_HEAD + ENTRY_BYTES];
+/// The catalog payload.
+pub(crate) fn encode_catalog(entries: &[Entry]) -> Vec<u8> {
+    let mut bytes = vec![0; CATALOG_HEAD];
     put_u16(&mut bytes, CATALOG_VERSION, CATALOG_VERSION_NOW);
-    put_u16(&mut bytes, CATALOG_COUNT, 1);
-    entry
-        .attributes
-        .put(&mut bytes, CATALOG_HEAD + ENTRY_ATTRIBUTES);
-    entry.history.put(&mut bytes, CATALOG_HEAD + ENTRY_HISTORY);
-    entry.root.put(&mut bytes, CATALOG_HEAD + ENTRY_ROOT);
-    bytes[CATALOG_HEAD + ENTRY_ROOT_LEVEL] = entry.root_level;
-    put_u16(
-        &mut bytes,
-        CATALOG_HEAD + ENTRY_NAME,
-        entry.name.len() as u16,
-    );
-    bytes.extend_from_slice(entry.name.as_bytes());
-    bytes.resize(bytes.len().next_multiple_of(RECORD_ALIGN), 0);
+    put_u16(&mut bytes, CATALOG_COUNT, entries.len() as u16);
+    for entry in entries {
+        let at = bytes.len();
+        bytes.resize(at + ENTRY_BYTES, 0);
+        entry.attributes.put(&mut bytes, at + ENTRY_ATTRIBUTES);
+        entry.history.put(&mut bytes, at + ENTRY_HISTORY);
+        entry.root.put(&mut bytes, at + ENTRY_ROOT);
+        bytes[at + ENTRY_ROOT_LEVEL] = entry.root_level;
+        bytes[at + ENTRY_LOD] = entry.lod;
+        put_u16(&mut bytes, at + ENTRY_PARENT, entry.parent);
+        put_u16(&mut bytes, at + ENTRY_NAME, entry.name.len() as u16);
+        bytes.extend_from_slice(entry.name.as_bytes());
+        bytes.resize(bytes.len().next_multiple_of(RECORD_ALIGN), 0);
+    }
     bytes
 }
 
@@ -85,15 +91,29 @@ pub(crate) fn decode_catalog(bytes: &[u8]) -> Result<Vec<Entry>, String> {
             history: Ref::get(head, ENTRY_HISTORY),
             root: Ref::get(head, ENTRY_ROOT),
             root_level: head[ENTRY_ROOT_LEVEL],
+            lod: head[ENTRY_LOD],
+            parent: get_u16(head, ENTRY_PARENT),
             name: name.into(),
         });
         rest = after;
     }
-    if rest.is_empty() {
-        Ok(entries)
-    } else {
-        Err("the catalog has bytes left over".into())
+    if !rest.is_empty() {
+        return Err("the catalog has bytes left over".into());
     }
+    for (n, entry) in entries.iter().enumerate() {
+        let parent = usize::from(entry.parent);
+        let fits = if entry.lod == 0 {
+            parent == 0
+        } else {
+            parent < n && entries[parent].lod == 0
+        };
+        if !fits {
+            return Err(format!(
+                "volume {n} is a level of detail of volume {parent}"
+            ));
+        }
+    }
+    Ok(entries)
 }
 
 /// The attributes payload.
@@ -127,6 +147,8 @@ pub(crate) fn encode_attributes(spec: &VolumeSpec, range: KeyRange, counts: &Cou
     put_u64(&mut bytes, ATTR_TILE_BRICKS, counts.tile_bricks);
     put_u64(&mut bytes, ATTR_PAGES, counts.pages);
     put_u64(&mut bytes, ATTR_STORED, counts.stored);
+    put_u32(&mut bytes, ATTR_SLABS, counts.slabs);
+    put_u32(&mut bytes, ATTR_SOURCE_CRC, counts.source_crc);
     bytes
 }
 
@@ -200,6 +222,8 @@ pub(crate) fn decode_attributes(bytes: &[u8]) -> Result<(VolumeSpec, KeyRange, C
         tile_bricks: get_u64(bytes, ATTR_TILE_BRICKS),
         pages: get_u64(bytes, ATTR_PAGES),
         stored: get_u64(bytes, ATTR_STORED),
+        slabs: get_u32(bytes, ATTR_SLABS),
+        source_crc: get_u32(bytes, ATTR_SOURCE_CRC),
     };
     Ok((spec, range, counts))
 }
@@ -244,6 +268,8 @@ mod tests {
             tile_bricks: 3,
             pages: 4,
             stored: 5,
+            slabs: 6,
+            source_crc: 7,
         };
         let bytes = encode_attributes(&spec(), range, &counts);
         assert_eq!(decode_attributes(&bytes), Ok((spec(), range, counts)));
@@ -287,9 +313,22 @@ mod tests {
                 crc: 8,
             },
             root_level: 2,
+            lod: 0,
+            parent: 0,
             name: "zähne".into(),
         };
-        let mut bytes = encode_catalog(&entry);
+        let coarse = Entry {
+            lod: 3,
+            name: String::new(),
+            ..entry.clone()
+        };
+        let two = [entry.clone(), coarse.clone()];
+        assert_eq!(decode_catalog(&encode_catalog(&two)), Ok(two.to_vec()));
+        assert!(
+            decode_catalog(&encode_catalog(&[coarse])).is_err(),
+            "its own parent"
+        );
+        let mut bytes = encode_catalog(std::slice::from_ref(&entry));
         assert_eq!(decode_catalog(&bytes), Ok(vec![entry]));
         for end in 0..bytes.len() {
             assert!(decode_catalog(&bytes[..end]).is_err());

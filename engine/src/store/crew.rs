@@ -1,7 +1,8 @@
 //! Threads that encode batches of bricks side by side and hand them over in the order of their
 //! tickets, so that the bytes of the file do not depend on scheduling.
 
-use super::writer::{BrickEncoder, VolumeWriter};
+use super::encode::BrickEncoder;
+use super::writer::VolumeWriter;
 use crate::budget::Budget;
 use crate::error::{Error, ErrorKind, Result};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -19,6 +20,8 @@ pub(crate) struct Crew {
 #[derive(Default)]
 struct State {
     next: u64,
+    /// Batches that are written whole.
+    written: u64,
     failed: bool,
     error: Option<Error>,
 }
@@ -53,7 +56,22 @@ impl Crew {
         state.next += 1;
         drop(state);
         self.turn.notify_all();
-        writer.write_reserved(&encoder.batch, offset)
+        writer.write_reserved(&encoder.batch, offset)?;
+        self.state().written += 1;
+        self.turn.notify_all();
+        Ok(())
+    }
+
+    /// Waits until `tickets` batches are written whole; `false` when somebody failed.
+    pub(crate) fn wait_for(&self, tickets: u64) -> bool {
+        let mut state = self.state();
+        while state.written < tickets && !state.failed {
+            state = self
+                .turn
+                .wait(state)
+                .unwrap_or_else(PoisonError::into_inner);
+        }
+        !state.failed
     }
 
     /// Stops everybody; the first error is kept.

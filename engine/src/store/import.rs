@@ -1,13 +1,17 @@
 //! A stream of samples into a volume file: slab by slab of one brick edge of slices, one slab read
 //! while the one before is encoded. Slabs that do not fit the budget go through a scratch file.
 
+use super::aside::{Aside, create_aside};
 use super::crew::{BATCH_EDGE, Crew, threads_for};
+use super::encode::BrickEncoder;
+use super::open::{NO_COMMIT, Opened};
 use super::spec::{VolumeInfo, VolumeSpec};
 use super::storage::{FileStorage, Storage};
-use super::writer::{Aside, BrickEncoder, VolumeWriter, create_aside};
+use super::writer::{VolumeWriter, take_lock};
 use crate::budget::{Budget, Permit, human_bytes};
 use crate::error::{Error, ErrorKind, Result};
 use crossbeam::channel::{Receiver, Sender, bounded};
+use std::fs::OpenOptions;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,31 +19,175 @@ use std::sync::Arc;
 /// Bytes that are read from the source at a time.
 const CHUNK: usize = 1 << 20;
 
-/// Writes the samples of `source` to a volume file at `out`. The source gives the raw little-endian
-/// samples of the whole domain, `i` fastest, one byte per bit.
-///
-/// The bytes of the file do not depend on the number of threads or on the budget: bricks stand in
-/// the order of the source, by slabs, then rows of bricks, then along `i`.
+/// Samples (as raw bytes) between two commits of an import: what a kill costs at most.
+const COMMIT_BYTES: u64 = 256 << 20;
+
+/// How to import.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ImportOptions {
+    /// Go on with an import that was stopped, where there is one; see [`partial_path`].
+    pub resume: bool,
+    /// Coarser levels to build, at most; see [`Volume::level`](super::Volume::level).
+    pub levels: u8,
+}
+
+/// Where an import keeps what it has until it is whole: `OUT.partial`. It stays there when the
+/// import is killed, cancelled or stopped by the medium after its first commit.
+pub fn partial_path(out: &Path) -> PathBuf {
+    let mut name = out.as_os_str().to_os_string();
+    name.push(".partial");
+    name.into()
+}
+
+/// [`import_with`] and its default options.
 ///
 /// # Errors
-/// A source that ends early, goes on after the last sample or fails; a write that fails. Nothing is
-/// then left under `out`.
-///
-/// # Memory
-/// Two slabs of `brick_edge` slices where half of the free budget holds them. Otherwise they go to a
-/// scratch file beside `out`, and memory is a few MiB per thread.
+/// As [`import_with`].
 pub fn import_stream(
     source: &mut dyn Read,
     spec: &VolumeSpec,
     out: &Path,
     budget: &Budget,
 ) -> Result<VolumeInfo> {
-    let writer = VolumeWriter::create(out, spec, budget)?;
-    fill(source, &writer, out, budget).map_err(|e| match e.kind() {
-        ErrorKind::Truncated | ErrorKind::BadInput => e.context(out.display()),
-        _ => e,
-    })?;
-    writer.finish()
+    import_with(source, spec, out, &ImportOptions::default(), budget)
+}
+
+/// Writes the samples of `source` to a volume file at `out`. The source gives the raw little-endian
+/// samples of the whole domain, `i` fastest, one byte per bit.
+///
+/// The bytes of the file do not depend on the number of threads, on the budget, or on whether the
+/// import was stopped and resumed: bricks stand in the order of the source, by slabs, then rows of
+/// bricks, then along `i`, with a commit after each 256 MiB of samples.
+///
+/// # Errors
+/// A source that ends early, goes on after the last sample, fails, or when resuming is not the one
+/// that the import began with; a write that fails; `ForeignWriter` while another import writes to
+/// the same place. Nothing is then under `out`.
+///
+/// # Memory
+/// Two slabs of `brick_edge` slices where half of the free budget holds them. Otherwise they go to a
+/// scratch file beside `out`, and memory is a few MiB per thread.
+pub fn import_with(
+    source: &mut dyn Read,
+    spec: &VolumeSpec,
+    out: &Path,
+    options: &ImportOptions,
+    budget: &Budget,
+) -> Result<VolumeInfo> {
+    import_committing(source, spec, out, options, COMMIT_BYTES, budget)
+}
+
+fn import_committing(
+    source: &mut dyn Read,
+    spec: &VolumeSpec,
+    out: &Path,
+    options: &ImportOptions,
+    commit_bytes: u64,
+    budget: &Budget,
+) -> Result<VolumeInfo> {
+    spec.validate().map_err(|e| e.context(out.display()))?;
+    let (mut writer, resumed) = start(spec, out, options, budget)?;
+    let filled = fill(source, &writer, out, commit_bytes, budget)
+        .and_then(|()| match options.levels {
+            0 => Ok(()),
+            levels => writer.build_levels(levels),
+        })
+        .and_then(|()| {
+            writer.parts[0].set_mark((0, 0));
+            writer.commit()
+        });
+    match filled {
+        Ok(_) => writer.finish(),
+        Err(e) => {
+            let slabs = writer.committed_slabs();
+            let again = !matches!(e.kind(), ErrorKind::Truncated | ErrorKind::BadInput);
+            let e = if again { e } else { e.context(out.display()) };
+            if resumed || (again && slabs > 0) {
+                writer.keep();
+                let all = spec.bricks()[2];
+                return Err(e.followed_by(&format!(
+                    "; {} keeps {slabs} of {all} slabs: resume the import to go on",
+                    partial_path(out).display()
+                )));
+            }
+            Err(e)
+        }
+    }
+}
+
+/// The writer of a new import, or of the one that is to go on.
+fn start(
+    spec: &VolumeSpec,
+    out: &Path,
+    options: &ImportOptions,
+    budget: &Budget,
+) -> Result<(VolumeWriter, bool)> {
+    let place = partial_path(out);
+    let open = |new: bool| {
+        OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create_new(new)
+            .open(&place)
+    };
+    match open(false) {
+        Ok(file) => {
+            let storage = Arc::new(FileStorage(file));
+            take_lock(storage.as_ref(), &place)?;
+            if options.resume
+                && let Some(writer) = resume(storage, spec, out, budget)?
+            {
+                return Ok((writer, true));
+            }
+            std::fs::remove_file(&place)
+                .map_err(|e| Error::io(&place, "removing what an earlier import left", e))?;
+        }
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {}
+        Err(e) => return Err(Error::io(&place, "opening what an earlier import left", e)),
+    }
+    let file = open(true).map_err(|e| Error::io(&place, "creating the file", e))?;
+    let aside = Aside::existing(place.clone());
+    let storage = Arc::new(FileStorage(file));
+    take_lock(storage.as_ref(), &place)?;
+    let writer = VolumeWriter::start(storage, out, spec, budget, Some(aside))?;
+    Ok((writer, false))
+}
+
+/// The writer that goes on with `storage`; `None` when that has no commit yet.
+fn resume(
+    storage: Arc<dyn Storage>,
+    spec: &VolumeSpec,
+    out: &Path,
+    budget: &Budget,
+) -> Result<Option<VolumeWriter>> {
+    let place = partial_path(out);
+    // Killed before the first commit.
+    match Opened::open(storage.clone(), &place) {
+        Err(e) if e.kind() == ErrorKind::Truncated => return Ok(None),
+        Err(e) if e.kind() == ErrorKind::DamagedRoot && e.to_string().contains(NO_COMMIT) => {
+            return Ok(None);
+        }
+        Err(e) if storage.is_empty().unwrap_or(false) => {
+            drop(e);
+            return Ok(None);
+        }
+        Err(e) => return Err(e),
+        Ok(_) => {}
+    }
+    let writer = VolumeWriter::resume(storage, &place, out, false, budget)?;
+    if writer.spec() != spec {
+        return Err(Error::bad_input(format!(
+            "{}: begun from another source or with other settings: import again without resuming",
+            place.display()
+        )));
+    }
+    if writer.parts[0].mark().0 == 0 {
+        return Err(Error::bad_input(format!(
+            "{}: a whole volume, not an import that was stopped: rename it",
+            place.display()
+        )));
+    }
+    Ok(Some(writer.with_aside(Aside::existing(place))))
 }
 
 /// Where the samples of a slab are.
@@ -84,7 +232,13 @@ struct Shape {
     scratch: Option<(FileStorage, PathBuf, Aside)>,
 }
 
-fn fill(source: &mut dyn Read, writer: &VolumeWriter, out: &Path, budget: &Budget) -> Result<()> {
+fn fill(
+    source: &mut dyn Read,
+    writer: &VolumeWriter,
+    out: &Path,
+    commit_bytes: u64,
+    budget: &Budget,
+) -> Result<()> {
     let spec = writer.spec();
     let size = spec.grid.domain.size().map(|n| n as usize);
     let (edge, width) = (spec.brick_edge as usize, spec.sample.bytes());
@@ -92,7 +246,7 @@ fn fill(source: &mut dyn Read, writer: &VolumeWriter, out: &Path, budget: &Budge
     let batch =
         u64::from((BATCH_EDGE / spec.brick_edge).pow(3).max(1)).min(u64::from(writer.bricks()[0]));
     let segment_bytes = (edge.pow(3) * width) as u64 * (batch + 1);
-    let per_thread = segment_bytes + writer.encoder_charge(batch);
+    let per_thread = segment_bytes + writer.encoder_charge(0, batch);
     let slab_bytes = size[0] as u64 * size[1] as u64 * edge.min(size[2]) as u64 * width as u64;
     let in_memory = slab_bytes.checked_mul(2).and_then(|both| {
         (both <= budget.free_bytes() / 2 && slab_bytes <= isize::MAX as u64)
@@ -150,6 +304,7 @@ fn fill(source: &mut dyn Read, writer: &VolumeWriter, out: &Path, budget: &Budge
                 jobs,
                 &free,
                 &free_sender,
+                commit_bytes,
                 budget,
             )
         });
@@ -169,15 +324,29 @@ fn feed(
     jobs: Sender<Job>,
     free: &Receiver<Place>,
     free_sender: &Sender<Place>,
+    commit_bytes: u64,
     budget: &Budget,
 ) -> Result<()> {
     let [bx, by, bz] = writer.bricks();
     let slice_bytes = shape.size[0] as u64 * shape.size[1] as u64 * shape.width as u64;
     // Only named in messages: a domain beyond 64 bits is never read to its end.
     let total = slice_bytes.saturating_mul(shape.size[2] as u64);
-    let (mut done, mut ticket) = (0u64, 0u64);
+    let (first_slab, wanted_crc) = writer.parts[0].mark();
+    let slab_bytes = slice_bytes.saturating_mul(shape.edge as u64);
+    let slabs_per_commit = u32::try_from(commit_bytes / slab_bytes.max(1)).map_or(bz, |n| n.max(1));
+    let mut done = slab_bytes.saturating_mul(u64::from(first_slab)).min(total);
+    let mut ticket = 0u64;
     let mut chunk = Vec::new();
-    for z in 0..bz {
+    let mut crc = skip(source, done, total, budget)?;
+    if crc != wanted_crc {
+        return Err(Error::bad_input(format!(
+            "the first {done} bytes of the source are not those that the import began with: import again without resuming"
+        )));
+    }
+    budget
+        .progress()
+        .add(u64::from(bx) * u64::from(by) * u64::from(first_slab));
+    for z in first_slab..bz {
         let slices = shape.edge.min(shape.size[2] - z as usize * shape.edge);
         let mut place = loop {
             budget.check_cancelled()?;
@@ -201,6 +370,7 @@ fn feed(
                 }
             };
             read_all(source, target, done + at, total)?;
+            crc = crc32c::crc32c_append(crc, target);
             if let (Place::Scratch(base), Some((file, path, _))) = (&place, &shape.scratch) {
                 file.write_at(&chunk[..n], base + at)
                     .map_err(|e| Error::io(path, "writing the scratch file", e))?;
@@ -230,15 +400,41 @@ fn feed(
                 }
             }
         }
+        drop(slab);
+        // By number of slabs, so that the bytes of the file depend on nothing else.
+        if (z + 1) % slabs_per_commit == 0 && z + 1 < bz {
+            if !crew.wait_for(ticket) {
+                return Ok(());
+            }
+            writer.parts[0].set_mark((z + 1, crc));
+            writer.commit()?;
+        }
     }
     match source.read(&mut [0]) {
-        Ok(0) => Ok(()),
+        Ok(0) => {
+            writer.parts[0].set_mark((bz, crc));
+            Ok(())
+        }
         Ok(_) => Err(Error::bad_input(format!(
             "the source goes on after the {total} bytes ({}) of the domain: check dimensions and type",
             human_bytes(total)
         ))),
         Err(e) => Err(source_error(e, done)),
     }
+}
+
+/// Reads over the first `bytes` of the source and gives their checksum.
+fn skip(source: &mut dyn Read, bytes: u64, total: u64, budget: &Budget) -> Result<u32> {
+    let (mut at, mut crc) = (0, 0);
+    let mut chunk = vec![0; bytes.min(CHUNK as u64) as usize];
+    while at < bytes {
+        budget.check_cancelled()?;
+        let n = (bytes - at).min(CHUNK as u64) as usize;
+        read_all(source, &mut chunk[..n], at, total)?;
+        crc = crc32c::crc32c_append(crc, &chunk[..n]);
+        at += n as u64;
+    }
+    Ok(crc)
 }
 
 fn read_all(source: &mut dyn Read, mut target: &mut [u8], before: u64, total: u64) -> Result<()> {
@@ -281,7 +477,7 @@ fn work(
     segment_bytes: u64,
     budget: &Budget,
 ) -> Result<()> {
-    let mut encoder = writer.new_encoder(batch)?;
+    let mut encoder = writer.new_encoder(0, batch)?;
     let _permit = budget.take(segment_bytes, "gathering bricks")?;
     let mut raw = vec![0; shape.edge.pow(3) * shape.width];
     let mut segment = Vec::new();
@@ -409,6 +605,102 @@ mod tests {
             dense.check(&volume, dense.spec.grid.domain);
             let report = verify(&out, &budget).expect("verifies");
             assert!(report.is_intact(), "{:?}", report.problems);
+        }
+    }
+
+    /// Gives the first `left` bytes, then what `end` makes.
+    struct Stops<'a> {
+        raw: &'a [u8],
+        left: usize,
+        end: &'a dyn Fn() -> std::io::Error,
+    }
+
+    impl Read for Stops<'_> {
+        fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+            if self.left == 0 {
+                return Err((self.end)());
+            }
+            let n = buffer.len().min(self.left).min(self.raw.len());
+            buffer[..n].copy_from_slice(&self.raw[..n]);
+            (self.raw, self.left) = (&self.raw[n..], self.left - n);
+            Ok(n)
+        }
+    }
+
+    #[test]
+    fn a_stopped_import_goes_on() {
+        let folder = tempfile::tempdir().expect("scratch folder");
+        let out = folder.path().join("v.bvol");
+        let spec = spec([100, 60, 90], SampleType::U16, 8);
+        let dense = Dense::new(spec.clone(), mixed);
+        let slab = 100 * 60 * 8 * 2;
+        let entries = || std::fs::read_dir(folder.path()).expect("lists").count();
+        for levels in [0, 2] {
+            let options = ImportOptions {
+                resume: true,
+                levels,
+            };
+            let import = |source: &mut dyn Read, threads: usize| {
+                let budget = Budget::mib(24).with_threads(threads);
+                import_committing(source, &spec, &out, &options, 3 * slab as u64, &budget)
+            };
+            import(&mut &dense.raw[..], 2).expect("in one go");
+            let whole = std::fs::read(&out).expect("is there");
+            std::fs::remove_file(&out).expect("removes");
+            let broken = || std::io::Error::other("the cable");
+            let stops = |left: usize, threads: usize| {
+                let mut source = Stops {
+                    raw: &dense.raw,
+                    left,
+                    end: &broken,
+                };
+                import(&mut source, threads).expect_err("stops")
+            };
+            // Before the first commit nothing is kept.
+            let error = stops(slab * 5 / 2, 1);
+            assert!(!error.to_string().contains("partial"), "{error}");
+            assert_eq!(entries(), 0);
+            for (cut, kept) in [(4, 3), (5, 3), (7, 6), (11, 9)] {
+                let error = stops(slab * cut + 77, cut).to_string();
+                assert!(error.contains(&format!("keeps {kept} of 12")), "{error}");
+                assert!(!out.exists() && entries() == 1);
+                let partial = Volume::open(&partial_path(&out), &Budget::mib(24)).expect("opens");
+                assert_eq!(partial.info().expect("info").unfinished_slabs, Some(kept));
+                let mut done = spec.grid.domain;
+                done.max[2] = done.min[2] + 8 * kept as i32;
+                dense.check(&partial, done);
+                let report = verify(&partial_path(&out), &Budget::mib(24)).expect("verifies");
+                assert!(report.is_intact(), "{:?}", report.problems);
+            }
+            // Another source, other settings, a writer for changes: refused, and nothing is lost.
+            let mut other = dense.raw.clone();
+            other[slab] ^= 1;
+            let error = import(&mut &other[..], 1).expect_err("another source");
+            assert_eq!(error.kind(), ErrorKind::BadInput, "{error}");
+            let coarse = VolumeSpec {
+                brick_edge: 16,
+                ..spec.clone()
+            };
+            let budget = Budget::mib(24);
+            let error = import_with(&mut &dense.raw[..], &coarse, &out, &options, &budget)
+                .expect_err("other settings");
+            assert_eq!(error.kind(), ErrorKind::BadInput, "{error}");
+            assert!(VolumeWriter::open(&partial_path(&out), &budget).is_err());
+            assert_eq!(entries(), 1);
+            import(&mut &dense.raw[..], 3).expect("goes on");
+            assert!(std::fs::read(&out).expect("is there") == whole);
+            assert_eq!(entries(), 1);
+            std::fs::remove_file(&out).expect("removes");
+            // Without resuming what is left over is replaced; rubbish too small for a commit as well.
+            stops(slab * 4, 1);
+            import_stream(&mut &dense.raw[..], &spec, &out, &budget).expect("anew");
+            std::fs::remove_file(&out).expect("removes");
+            for rubbish in [&[][..], &whole[..5000], &whole[..12288]] {
+                std::fs::write(partial_path(&out), rubbish).expect("writes");
+                import(&mut &dense.raw[..], 1).expect("anew");
+                assert!(std::fs::read(&out).expect("is there") == whole);
+                std::fs::remove_file(&out).expect("removes");
+            }
         }
     }
 

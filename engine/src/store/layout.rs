@@ -67,6 +67,9 @@ pub(crate) const FILE_ID_BYTES: usize = 16;
 pub(crate) const HEADER_CRC: usize = SECTOR - 4;
 const _: () = assert!(HEADER_END <= HEADER_CRC);
 
+/// Bits of the `ro_compat` word that this version understands (none yet).
+pub(crate) const KNOWN_RO_COMPAT: u64 = 0;
+
 /// Bits of the `incompat` word that this version understands (none yet).
 pub(crate) const KNOWN_INCOMPAT: u64 = 0;
 
@@ -98,7 +101,9 @@ fields! {
     /// Random per open while a writer works, 0 in a finished file.
     SUPER_WRITER: 8 => S8,
     /// Offset and length of the pages of a sealed file; 0 when they do not lie together.
-    SUPER_INDEX: 16 => SUPER_END,
+    SUPER_INDEX: 16 => S10,
+    /// Bit 0: sealed.
+    SUPER_FLAGS: 4 => SUPER_END,
 }
 /// CRC32C, seeded from the file id, of all bytes of the superblock before it.
 pub(crate) const SUPER_CRC: usize = SECTOR - 4;
@@ -230,7 +235,11 @@ fields! {
     /// Zero when every brick is background.
     ENTRY_ROOT: REF_BYTES => E3,
     ENTRY_ROOT_LEVEL: 1 => E4,
-    ENTRY_RESERVED: 5 => E5,
+    /// Level of detail: 0 for a volume of its own.
+    ENTRY_LOD: 1 => E5_,
+    /// Number of the volume that this is a level of detail of.
+    ENTRY_PARENT: 2 => E5__,
+    ENTRY_RESERVED: 2 => E5,
     /// Bytes of the name that follows, padded with zeros to [`RECORD_ALIGN`].
     ENTRY_NAME: 2 => ENTRY_END,
 }
@@ -266,11 +275,14 @@ fields! {
     ATTR_MIN: VALUE_BYTES => A10,
     ATTR_MAX: VALUE_BYTES => A11,
     ATTR_HAS_NAN: 4 => A12,
-    ATTR_RESERVED: 4 => A13,
+    /// Slabs of bricks that a running import has committed; 0 in a whole volume.
+    ATTR_SLABS: 4 => A13,
     /// Smallest lattice point, three i64.
     ATTR_ORIGIN: 24 => A14,
-    /// Samples per axis, three u32, then a reserved u32.
-    ATTR_SIZE: 16 => A15,
+    /// Samples per axis, three u32.
+    ATTR_SIZE: 12 => A15_,
+    /// CRC32C, not seeded, of the source bytes of those slabs; 0 in a whole volume.
+    ATTR_SOURCE_CRC: 4 => A15,
     /// Index to world, three rows of four f64.
     ATTR_MATRIX: 96 => A16,
     ATTR_BRICKS: 8 => A17,
@@ -335,7 +347,7 @@ mod tests {
         assert_eq!((SUPERBLOCK_AT, LOG_START), ([4096, 8192], 12288));
         assert_eq!((superblock_at(1), superblock_at(2)), (4096, 8192));
         assert_eq!((HEADER_FILE_ID, HEADER_END, HEADER_CRC), (40, 56, 4092));
-        assert_eq!((SUPER_CATALOG, SUPER_INDEX, SUPER_END), (24, 72, 88));
+        assert_eq!((SUPER_CATALOG, SUPER_INDEX, SUPER_END), (24, 72, 92));
         assert_eq!((RECORD_KEY, RECORD_LEVEL, RECORD_CRC), (24, 34, 36));
         assert_eq!(REF_BYTES, 16);
         assert_eq!((FOOTER_CHAIN, FOOTER_BYTES), (64, 72));

@@ -3,12 +3,13 @@
 
 use super::layout::FILE_ID_BYTES;
 use super::layout::{LOG_START, RECORD_HEADER, SECTOR, align_up, superblock_at};
+use super::open::Opened;
 use super::record::{Footer, Head, RecordKind, Ref, Superblock, header_block, seal, seed_of};
 use super::storage::Storage;
 use crate::error::{Error, ErrorKind, Result};
 use std::io;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// The writing end of a volume file.
@@ -16,21 +17,43 @@ pub(crate) struct Log {
     pub(crate) storage: Arc<dyn Storage>,
     path: PathBuf,
     pub(crate) seed: u32,
-    pub(crate) generation: u64,
+    /// Generation of the running commit.
+    generation: AtomicU64,
     state: Mutex<State>,
-    failed: AtomicBool,
-    poisoned: AtomicBool,
+    health: AtomicU8,
 }
+
+/// Everything is as it should be.
+const SOUND: u8 = 0;
+/// A write failed: the running commit is lost, the next may try again.
+const FAILED: u8 = 1;
+/// A sync or the publication failed: nothing is known of what the medium holds.
+const POISONED: u8 = 2;
+/// Somebody else wrote the file.
+const FOREIGN: u8 = 3;
 
 struct State {
     /// First free byte.
     end: u64,
-    /// First record of the running commit.
-    start: u64,
+    /// Records of the running commit, and the checksum over their headers.
     records: u64,
     chain: u32,
-    live: u64,
+    /// Bytes of them.
+    appended: u64,
+    /// What this writer last read or wrote as root.
     root: Superblock,
+}
+
+/// What a commit publishes beside its records.
+pub(crate) struct Publish {
+    pub(crate) catalog: Ref,
+    /// Offset and length of the run of all node pages, or zeros.
+    pub(crate) index: [u64; 2],
+    /// Bytes of records that the root does not reach any more.
+    pub(crate) dropped: u64,
+    /// Writer id.
+    pub(crate) writer: u64,
+    pub(crate) sealed: bool,
 }
 
 impl Log {
@@ -45,22 +68,7 @@ impl Log {
             log_end: LOG_START,
             ..Superblock::default()
         };
-        let log = Log {
-            storage,
-            path,
-            seed,
-            generation: 1,
-            state: Mutex::new(State {
-                end: LOG_START,
-                start: LOG_START,
-                records: 0,
-                chain: seed,
-                live: 0,
-                root,
-            }),
-            failed: AtomicBool::new(false),
-            poisoned: AtomicBool::new(false),
-        };
+        let log = Log::at(storage, path, seed, root);
         let header = header_block(file_id);
         log.write(&header, 0)?;
         // Slot A stays empty until the first commit: an invalid superblock.
@@ -68,8 +76,48 @@ impl Log {
         log.write(&root.to_block(seed), superblock_at(0))?;
         let mut copy = vec![0; RECORD_HEADER];
         copy.extend_from_slice(&header);
-        log.append(&Head::new(RecordKind::Header, log.generation), copy)?;
+        log.append(&Head::new(RecordKind::Header, 1, 0), copy)?;
         Ok(log)
+    }
+
+    /// Goes on where `file` ends.
+    pub(crate) fn open(file: &Opened) -> Result<Log> {
+        let log = Log::at(
+            file.storage.clone(),
+            file.path.clone(),
+            file.seed,
+            file.root,
+        );
+        if !file.is_published {
+            // Found by walking the log: give it its superblock back, so that the other one, which is
+            // overwritten next, is not the only one.
+            let slot = superblock_at(file.root.generation);
+            log.write(&file.root.to_block(log.seed), slot)?;
+            log.sync("syncing a repaired superblock")?;
+        }
+        Ok(log)
+    }
+
+    fn at(storage: Arc<dyn Storage>, path: PathBuf, seed: u32, root: Superblock) -> Log {
+        Log {
+            storage,
+            path,
+            seed,
+            generation: AtomicU64::new(root.generation + 1),
+            state: Mutex::new(State {
+                end: root.log_end,
+                records: 0,
+                chain: seed,
+                appended: 0,
+                root,
+            }),
+            health: AtomicU8::new(SOUND),
+        }
+    }
+
+    /// Generation of the running commit.
+    pub(crate) fn generation(&self) -> u64 {
+        self.generation.load(Ordering::Acquire)
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -80,9 +128,38 @@ impl Log {
         Error::io(&self.path, doing, error)
     }
 
+    fn error(&self, kind: ErrorKind, message: &str) -> Error {
+        Error::new(kind, format!("{}: {message}", self.path.display()))
+    }
+
+    /// # Errors
+    /// Why nothing can be written now.
+    pub(crate) fn check(&self) -> Result<()> {
+        match self.health.load(Ordering::Acquire) {
+            SOUND => Ok(()),
+            FAILED => Err(self.error(
+                ErrorKind::Io,
+                "an earlier write failed, so this commit is given up: what was put since the last commit must be put again",
+            )),
+            FOREIGN => Err(self.error(
+                ErrorKind::ForeignWriter,
+                "another writer has changed the file meanwhile: open it again",
+            )),
+            _ => Err(self.error(
+                ErrorKind::Poisoned,
+                "an earlier sync failed, so nothing is known of what the medium holds: open the file again",
+            )),
+        }
+    }
+
+    /// A worse state than before stays.
+    fn worsen(&self, health: u8) {
+        self.health.fetch_max(health, Ordering::AcqRel);
+    }
+
     fn write(&self, bytes: &[u8], offset: u64) -> Result<()> {
         self.storage.write_at(bytes, offset).map_err(|e| {
-            self.failed.store(true, Ordering::Release);
+            self.worsen(FAILED);
             self.io(
                 &format!("writing {} bytes at offset {offset}", bytes.len()),
                 e,
@@ -101,7 +178,12 @@ impl Log {
     /// Hands out the place of sealed records, which stand in `bytes` where `refs` say, and counts
     /// them into the commit. The caller writes the bytes with [`write_reserved`](Self::write_reserved).
     pub(crate) fn reserve(&self, bytes: &[u8], refs: &[Ref]) -> Result<u64> {
+        self.check()?;
         let mut state = self.state();
+        if state.records == 0 && state.root.generation > 0 {
+            // Bytes of a foreign commit must not be overwritten either.
+            self.check_fence(&state.root)?;
+        }
         let offset = state.end;
         state.end = offset
             .checked_add(bytes.len() as u64)
@@ -117,7 +199,7 @@ impl Log {
             state.chain = crc32c::crc32c_append(state.chain, head);
         }
         state.records += refs.len() as u64;
-        state.live += bytes.len() as u64;
+        state.appended += bytes.len() as u64;
         Ok(offset)
     }
 
@@ -129,78 +211,73 @@ impl Log {
     fn sync(&self, doing: &str) -> Result<()> {
         self.storage.sync().map_err(|e| {
             // The kernel may have dropped the dirty pages: a later success would prove nothing.
-            self.poisoned.store(true, Ordering::Release);
+            self.worsen(POISONED);
             self.io(doing, e)
         })
     }
 
+    /// Forgets what was appended since the last commit; its place is used again.
+    pub(crate) fn forget(&self) {
+        let mut state = self.state();
+        let root = state.root;
+        state.restart(root, self.seed);
+        // Worse than a failed write stays.
+        let _ = self
+            .health
+            .compare_exchange(FAILED, SOUND, Ordering::AcqRel, Ordering::Acquire);
+    }
+
     /// Makes everything appended so far the next generation. Returns when it would survive a loss of
-    /// power.
-    pub(crate) fn commit(&self, catalog: Ref, index: [u64; 2]) -> Result<Superblock> {
-        if self.poisoned.load(Ordering::Acquire) {
-            return Err(Error::new(
-                ErrorKind::Poisoned,
-                format!(
-                    "{}: an earlier sync failed: write the volume anew",
-                    self.path.display()
-                ),
-            ));
-        }
-        if self.failed.load(Ordering::Acquire) {
-            return Err(Error::new(
-                ErrorKind::Io,
-                format!(
-                    "{}: an earlier write failed, so nothing is committed",
-                    self.path.display()
-                ),
-            ));
-        }
+    /// power. The caller lets nobody append meanwhile.
+    pub(crate) fn commit(&self, publish: &Publish) -> Result<Superblock> {
+        self.check()?;
+        let generation = self.generation();
         // 1. The footer closes the records of the commit.
         let (footer, before) = {
             let state = self.state();
+            let root = state.root;
             let footer = Footer {
-                generation: self.generation,
-                catalog,
-                start: state.start,
-                previous: state.root.footer,
+                generation,
+                catalog: publish.catalog,
+                start: root.log_end,
+                previous: root.footer,
                 records: state.records,
-                live: state.live,
-                garbage: 0,
+                live: (root.live + state.appended).saturating_sub(publish.dropped),
+                garbage: root.garbage.saturating_add(publish.dropped),
                 chain: state.chain,
             };
-            (footer, state.root)
+            (footer, root)
         };
         let mut record = vec![0; RECORD_HEADER];
         record.extend(footer.to_payload());
-        let at = self.append(&Head::new(RecordKind::Footer, self.generation), record)?;
-        let root = {
-            let state = self.state();
-            Superblock {
-                generation: self.generation,
-                log_end: align_up(state.end, SECTOR as u64).expect("checked when reserved"),
-                catalog,
-                footer: at.offset,
-                live: state.live,
-                garbage: 0,
-                writer: 0,
-                index,
-            }
-        };
+        let whole = record.len().next_multiple_of(8) as u64;
+        let at = self.append(&Head::new(RecordKind::Footer, generation, 0), record)?;
         let written = self.state().end;
+        let root = Superblock {
+            generation,
+            log_end: align_up(written, SECTOR as u64).expect("checked when reserved"),
+            catalog: publish.catalog,
+            footer: at.offset,
+            live: footer.live + whole,
+            garbage: footer.garbage,
+            writer: publish.writer,
+            index: publish.index,
+            sealed: publish.sealed,
+        };
         self.write(&vec![0; (root.log_end - written) as usize], written)?;
         // 2. The data is durable before anything points to it.
         self.sync("syncing the data")?;
         // 3. Nobody else has published meanwhile (locks do not work everywhere).
         self.check_fence(&before)?;
         // 4. and 5. The root goes into the slot of the older generation.
-        self.write(&root.to_block(self.seed), superblock_at(self.generation))?;
+        self.write(&root.to_block(self.seed), superblock_at(generation))
+            .inspect_err(|_| {
+                // The commit is whole in the log: whether readers see it is not known.
+                self.worsen(POISONED);
+            })?;
         self.sync("syncing the superblock")?;
-        let mut state = self.state();
-        state.root = root;
-        state.end = root.log_end;
-        state.start = root.log_end;
-        state.records = 0;
-        state.chain = self.seed;
+        self.state().restart(root, self.seed);
+        self.generation.store(generation + 1, Ordering::Release);
         Ok(root)
     }
 
@@ -208,21 +285,29 @@ impl Log {
         let mut newest = None;
         for slot in [0, 1].map(superblock_at) {
             let mut block = vec![0; SECTOR];
-            self.storage
-                .read_at(&mut block, slot)
-                .map_err(|e| self.io("reading a superblock", e))?;
+            self.storage.read_at(&mut block, slot).map_err(|e| {
+                self.worsen(FAILED);
+                self.io("reading a superblock", e)
+            })?;
             let root = Superblock::parse(&block, self.seed, slot);
             newest = newest.max(root.map(|r| (r.generation, r.writer)));
         }
         if newest != Some((expected.generation, expected.writer)) {
-            return Err(Error::new(
-                ErrorKind::ForeignWriter,
-                format!(
-                    "{}: another writer has changed the file meanwhile",
-                    self.path.display()
-                ),
-            ));
+            self.worsen(FOREIGN);
+            return self.check();
         }
         Ok(())
+    }
+}
+
+impl State {
+    fn restart(&mut self, root: Superblock, seed: u32) {
+        *self = State {
+            end: root.log_end,
+            records: 0,
+            chain: seed,
+            appended: 0,
+            root,
+        };
     }
 }

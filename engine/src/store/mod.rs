@@ -4,12 +4,20 @@
 //! or [`write_field`], opened as [`Volume`] (which is a [`Field`](crate::Field)), and checked whole
 //! by [`verify`].
 
+mod aside;
 pub mod cache;
 mod catalog;
 mod codec;
+mod commit;
+mod compact;
 mod crew;
+mod damage;
 #[cfg(test)]
 mod damage_tests;
+#[cfg(test)]
+mod edit_tests;
+mod encode;
+mod fill;
 mod filter;
 #[cfg(feature = "fuzzing")]
 #[doc(hidden)]
@@ -19,12 +27,15 @@ mod hostile_tests;
 mod import;
 mod label;
 mod layout;
+mod lod;
 mod log;
 #[cfg(test)]
 mod measure;
 mod meta;
 mod open;
 mod page;
+#[cfg(test)]
+mod reader_tests;
 mod record;
 mod spec;
 mod storage;
@@ -37,7 +48,9 @@ mod volume;
 mod write_field;
 mod writer;
 
-pub use import::import_stream;
+pub use compact::{compact, compact_in};
+pub use damage::OnDamage;
+pub use import::{ImportOptions, import_stream, import_with, partial_path};
 pub use label::LabelField;
 pub use spec::{VolumeInfo, VolumeSpec, default_brick_edge};
 pub use storage::{FileStorage, MemoryStorage, Storage};

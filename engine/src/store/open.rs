@@ -4,6 +4,7 @@
 use super::catalog::{self, Counts, Entry};
 use super::layout::*;
 use super::meta;
+use super::page::{Page, PageRules};
 use super::record::{
     self, Footer, Head, RecordKind, Ref, Superblock, parse_head, parse_header, seed_of,
 };
@@ -11,16 +12,27 @@ use super::spec::VolumeSpec;
 use super::storage::Storage;
 use super::value::KeyRange;
 use crate::error::{Error, ErrorKind, Result};
+use crate::lattice::morton_encode;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// Times that the root is looked for while a writer publishes.
+const OPEN_TRIES: u32 = 100;
+/// What is said of a file without any commit.
+pub(crate) const NO_COMMIT: &str = "no whole commit is left";
+
 /// A file whose root is known.
+#[derive(Clone)]
 pub(crate) struct Opened {
     pub(crate) storage: Arc<dyn Storage>,
     pub(crate) path: PathBuf,
     pub(crate) seed: u32,
     pub(crate) root: Superblock,
     pub(crate) length: u64,
+    /// Whether the root has a superblock, not only a whole commit in the log.
+    pub(crate) is_published: bool,
+    /// Features without which the file may be read, but not written.
+    pub(crate) ro_compat: u64,
     /// What was not as it should be but did not matter, as phrases.
     pub(crate) notes: Vec<String>,
 }
@@ -39,17 +51,17 @@ impl Opened {
     /// # Errors
     /// `NotAVolume`, `Newer`, `Truncated`, `DamagedRoot`.
     pub(crate) fn open(storage: Arc<dyn Storage>, path: &Path) -> Result<Opened> {
-        let length = storage
-            .len()
-            .map_err(|e| Error::io(path, "asking for the length", e))?;
+        let length = length_of(storage.as_ref(), path)?;
         let mut notes = Vec::new();
-        let seed = find_seed(storage.as_ref(), path, length, &mut notes)?;
+        let (id, ro_compat) = find_id(storage.as_ref(), path, length, &mut notes)?;
         let mut opened = Opened {
             storage,
             path: path.into(),
-            seed,
+            seed: seed_of(&id),
             root: Superblock::default(),
             length,
+            is_published: false,
+            ro_compat,
             notes,
         };
         opened.root = opened.find_root()?;
@@ -66,20 +78,44 @@ impl Opened {
             .map_err(|e| Error::io(&self.path, &format!("reading {what} at offset {offset}"), e))
     }
 
+    /// A writer may be publishing meanwhile: a choice holds when both superblocks are whole, or are
+    /// still the same afterwards.
     fn find_root(&mut self) -> Result<Superblock> {
+        let mut roots = self.superblocks()?;
+        for _ in 1..OPEN_TRIES {
+            // After them: what they point to is there.
+            self.length = length_of(self.storage.as_ref(), &self.path)?;
+            let root = self.choose_root(roots);
+            if root.is_ok() && roots.iter().all(Option::is_some) {
+                return root;
+            }
+            let again = self.superblocks()?;
+            if again == roots {
+                for slot in (0..2).filter(|&slot| roots[slot].is_none()) {
+                    let offset = SUPERBLOCK_AT[slot];
+                    self.notes
+                        .push(format!("the superblock at offset {offset} is damaged"));
+                }
+                return root;
+            }
+            roots = again;
+        }
+        Err(self.error(ErrorKind::Io, "the root changes faster than it can be read"))
+    }
+
+    fn superblocks(&self) -> Result<[Option<Superblock>; 2]> {
         let mut roots = [None; 2];
-        for (slot, root) in roots.iter_mut().enumerate() {
-            let offset = SUPERBLOCK_AT[slot];
+        for (root, offset) in roots.iter_mut().zip(SUPERBLOCK_AT) {
             let mut block = [0; SECTOR];
             if offset + SECTOR as u64 <= self.length {
                 self.read_at(&mut block, offset, "a superblock")?;
                 *root = Superblock::parse(&block, self.seed, offset);
             }
-            if root.is_none() {
-                self.notes
-                    .push(format!("the superblock at offset {offset} is damaged"));
-            }
         }
+        Ok(roots)
+    }
+
+    fn choose_root(&mut self, roots: [Option<Superblock>; 2]) -> Result<Superblock> {
         let root = match roots {
             [Some(a), Some(b)] => {
                 if a.generation > b.generation {
@@ -110,6 +146,7 @@ impl Opened {
                 last
             }
         };
+        self.is_published = roots.contains(&Some(root));
         if root.generation == 0 {
             let kind = if self.length <= LOG_START {
                 ErrorKind::Truncated
@@ -118,7 +155,7 @@ impl Opened {
             };
             return Err(self.error(
                 kind,
-                "no whole commit is left: the volume was never finished, or its root is damaged",
+                format!("{NO_COMMIT}: the volume was never finished, or its root is damaged"),
             ));
         }
         if root.log_end > self.length {
@@ -157,6 +194,60 @@ impl Opened {
             .is_some_and(|(head, ..)| Some(head.generation) == root.generation.checked_add(1)))
     }
 
+    /// Makes an older generation the root, by the chain of footers.
+    ///
+    /// # Errors
+    /// `BadInput` when the file has no such generation; `Damaged` when a footer on the way does not
+    /// hold.
+    pub(crate) fn go_back(&mut self, generation: u64) -> Result<()> {
+        let newest = self.root.generation;
+        if generation == 0 || generation > newest {
+            return Err(self.error(
+                ErrorKind::BadInput,
+                format!("no generation {generation}: the file has 1 to {newest}"),
+            ));
+        }
+        let mut footer = self.footer_at(self.root.footer, newest)?;
+        let mut at = self.root.footer;
+        while footer.generation > generation {
+            if footer.previous >= footer.start || footer.start > at {
+                return Err(self.error(
+                    ErrorKind::Damaged,
+                    format!("the footer at offset {at} points forward"),
+                ));
+            }
+            at = footer.previous;
+            footer = self.footer_at(at, footer.generation - 1)?;
+        }
+        if generation < newest {
+            self.root = root_of(&footer, at).ok_or_else(|| {
+                self.error(
+                    ErrorKind::Damaged,
+                    format!("no place for the footer at offset {at}"),
+                )
+            })?;
+        }
+        Ok(())
+    }
+
+    fn footer_at(&self, offset: u64, generation: u64) -> Result<Footer> {
+        let mut buffer = Vec::new();
+        let found = self.record_at(offset, &mut buffer)?;
+        found
+            .filter(|(head, reference)| {
+                (head.kind, head.generation) == (RecordKind::Footer as u8, generation)
+                    && offset + record_bytes(reference.length) <= self.root.log_end
+            })
+            .and_then(|(_, r)| Footer::parse(&buffer[RECORD_HEADER..][..r.length as usize]))
+            .filter(|footer| footer.generation == generation)
+            .ok_or_else(|| {
+                self.error(
+                    ErrorKind::Damaged,
+                    format!("no footer of generation {generation} at offset {offset}"),
+                )
+            })
+    }
+
     /// Walks whole commits from the end of `from` and gives the root of the last.
     fn roll_forward(&self, from: Superblock) -> Result<Superblock> {
         let mut root = from;
@@ -188,18 +279,7 @@ impl Opened {
                     && footer.start == root.log_end
                     && footer.previous == root.footer
                     && (footer.records, footer.chain) == (records, chain);
-                let end = align_up(at + record_bytes(reference.length), SECTOR as u64);
-                return Ok(end.filter(|_| fits).map(|log_end| Superblock {
-                    generation: footer.generation,
-                    log_end,
-                    catalog: footer.catalog,
-                    footer: at,
-                    // As the superblock has it: with the footer itself.
-                    live: footer.live.saturating_add(record_bytes(reference.length)),
-                    garbage: footer.garbage,
-                    writer: 0,
-                    index: [0, 0],
-                }));
+                return Ok(root_of(&footer, at).filter(|_| fits));
             }
             chain = crc32c::crc32c_append(chain, &buffer[..RECORD_HEADER]);
             records += 1;
@@ -213,32 +293,36 @@ impl Opened {
         offset: u64,
         buffer: &mut Vec<u8>,
     ) -> Result<Option<(Head, Ref)>> {
-        let mut head = [0; RECORD_HEADER];
+        let Some(found) = self.head_at(offset, buffer)? else {
+            return Ok(None);
+        };
+        buffer.resize(record_bytes(found.1.length) as usize, 0);
+        self.read_at(buffer, offset, "a record")?;
+        Ok(record::open(buffer, self.seed).is_ok().then_some(found))
+    }
+
+    /// Reads the header of the record at `offset`, which is not checked; `None` when nothing that
+    /// could be one starts there.
+    pub(crate) fn head_at(&self, offset: u64, buffer: &mut Vec<u8>) -> Result<Option<(Head, Ref)>> {
         if offset
             .checked_add(RECORD_HEADER as u64)
             .is_none_or(|end| end > self.length)
         {
             return Ok(None);
         }
-        self.read_at(&mut head, offset, "a record")?;
-        let Some((fields, length, crc)) = parse_head(&head) else {
+        buffer.resize(RECORD_HEADER, 0);
+        self.read_at(buffer, offset, "a record")?;
+        let Some((head, length, crc)) = parse_head(buffer) else {
             return Ok(None);
         };
-        let whole = record_bytes(length);
-        if length as usize > longest_payload(fields.kind) || offset + whole > self.length {
-            return Ok(None);
-        }
-        buffer.resize(whole as usize, 0);
-        self.read_at(buffer, offset, "a record")?;
-        let whole = record::open(buffer, self.seed).is_ok();
-        Ok(whole.then_some((
-            fields,
-            Ref {
-                offset,
-                length,
-                crc,
-            },
-        )))
+        let fits = length as usize <= longest_payload(head.kind)
+            && offset + record_bytes(length) <= self.length;
+        let reference = Ref {
+            offset,
+            length,
+            crc,
+        };
+        Ok(fits.then_some((head, reference)))
     }
 
     /// Reads the record that `reference` names into `buffer` and gives its head; the payload follows
@@ -250,6 +334,7 @@ impl Opened {
         &self,
         reference: &Ref,
         kind: RecordKind,
+        volume: u16,
         place: &dyn Fn() -> String,
         buffer: &mut Vec<u8>,
     ) -> Result<Head> {
@@ -291,6 +376,12 @@ impl Opened {
                 head.generation, self.root.generation
             )));
         }
+        if head.volume != volume {
+            return Err(damaged(format!(
+                "the record belongs to volume {}, not {volume}",
+                head.volume
+            )));
+        }
         if head.kind != kind as u8 {
             return Err(damaged(format!(
                 "a record of kind {} in its place",
@@ -300,49 +391,74 @@ impl Opened {
         Ok(head)
     }
 
-    /// Reads catalog, attributes and history.
+    /// Reads and checks the page of `level` at `origin` of a volume.
+    ///
+    /// # Errors
+    /// `Damaged` where it is not the page that must be there.
+    pub(crate) fn read_page(
+        &self,
+        rules: &PageRules,
+        volume: u16,
+        level: u8,
+        origin: [u32; 3],
+        reference: Ref,
+        buffer: &mut Vec<u8>,
+    ) -> Result<Page> {
+        let place = || format!("of level {level} at brick {origin:?}");
+        let head = self.read_record(&reference, RecordKind::Page, volume, &place, buffer)?;
+        let damaged =
+            |what: String| self.error(ErrorKind::Damaged, format!("node page {}: {what}", place()));
+        if (head.level, head.key) != (level, morton_encode(origin)) {
+            return Err(damaged("its record has another place".into()));
+        }
+        let payload = &buffer[RECORD_HEADER..][..reference.length as usize];
+        Page::decode(rules, level, origin, reference.offset, payload).map_err(damaged)
+    }
+
+    /// The volumes of the file.
+    ///
+    /// # Errors
+    /// `DamagedRoot` when the catalog does not hold.
+    pub(crate) fn catalog(&self) -> Result<Vec<Entry>> {
+        let mut buffer = Vec::new();
+        let catalog = &self.root.catalog;
+        let place = || "of the root".to_string();
+        let head = self
+            .read_record(catalog, RecordKind::Catalog, 0, &place, &mut buffer)
+            .map_err(damaged_root)?;
+        if head.generation != self.root.generation {
+            return Err(self.error(
+                ErrorKind::DamagedRoot,
+                format!(
+                    "the catalog of generation {} in the root of generation {}",
+                    head.generation, self.root.generation
+                ),
+            ));
+        }
+        let payload = &buffer[RECORD_HEADER..][..catalog.length as usize];
+        let entries = catalog::decode_catalog(payload)
+            .map_err(|what| self.error(ErrorKind::DamagedRoot, what))?;
+        if entries.is_empty() {
+            return Err(self.error(ErrorKind::DamagedRoot, "the catalog names no volume"));
+        }
+        Ok(entries)
+    }
+
+    /// Reads attributes and history of volume number `volume`.
     ///
     /// # Errors
     /// `DamagedRoot` when any of them does not hold.
-    pub(crate) fn contents(&self) -> Result<Contents> {
-        let root = |e: Error| Error::new(ErrorKind::DamagedRoot, e.to_string());
+    pub(crate) fn contents(&self, volume: u16, entry: Entry) -> Result<Contents> {
         let wrong = |what: String| self.error(ErrorKind::DamagedRoot, what);
         let mut buffer = Vec::new();
-        let at_root = || "of the root".to_string();
-        let head = self
-            .read_record(
-                &self.root.catalog,
-                RecordKind::Catalog,
-                &at_root,
-                &mut buffer,
-            )
-            .map_err(root)?;
-        if head.generation != self.root.generation {
-            return Err(wrong(format!(
-                "the catalog of generation {} in the root of generation {}",
-                head.generation, self.root.generation
-            )));
-        }
-        let payload = &buffer[RECORD_HEADER..][..self.root.catalog.length as usize];
-        let entries = catalog::decode_catalog(payload).map_err(wrong)?;
-        let [entry] = <[Entry; 1]>::try_from(entries).map_err(|all| {
-            self.error(
-                ErrorKind::Unsupported,
-                format!(
-                    "{} volumes in one file: this program reads files of one",
-                    all.len()
-                ),
-            )
-        })?;
-        self.read_record(
-            &entry.attributes,
-            RecordKind::Attributes,
-            &at_root,
-            &mut buffer,
-        )
-        .map_err(root)?;
-        let payload = &buffer[RECORD_HEADER..][..entry.attributes.length as usize];
-        let (mut spec, range, counts) = catalog::decode_attributes(payload).map_err(wrong)?;
+        let mut read = |reference: &Ref, kind: RecordKind| -> Result<Vec<u8>> {
+            let place = || format!("of volume {volume}");
+            self.read_record(reference, kind, volume, &place, &mut buffer)
+                .map_err(damaged_root)?;
+            Ok(buffer[RECORD_HEADER..][..reference.length as usize].to_vec())
+        };
+        let attributes = read(&entry.attributes, RecordKind::Attributes)?;
+        let (mut spec, range, counts) = catalog::decode_attributes(&attributes).map_err(wrong)?;
         let level = if entry.root.is_none() {
             0
         } else {
@@ -363,11 +479,9 @@ impl Opened {
         }
         spec.name = entry.name.clone();
         if !entry.history.is_none() {
-            self.read_record(&entry.history, RecordKind::History, &at_root, &mut buffer)
-                .map_err(root)?;
-            let payload = &buffer[RECORD_HEADER..][..entry.history.length as usize];
+            let history = read(&entry.history, RecordKind::History)?;
             // A later version of the text is no reason to refuse the samples.
-            spec.history = meta::decode(payload).unwrap_or_default();
+            spec.history = meta::decode(&history).unwrap_or_default();
         }
         Ok(Contents {
             spec,
@@ -376,6 +490,42 @@ impl Opened {
             entry,
         })
     }
+
+    /// Attributes and history of every volume, in order.
+    ///
+    /// # Errors
+    /// `DamagedRoot` when any of them does not hold.
+    pub(crate) fn all_contents(&self) -> Result<Vec<Contents>> {
+        let entries = self.catalog()?;
+        (0u16..)
+            .zip(entries)
+            .map(|(volume, entry)| self.contents(volume, entry))
+            .collect()
+    }
+}
+
+fn damaged_root(error: Error) -> Error {
+    match error.kind() {
+        ErrorKind::Damaged => Error::new(ErrorKind::DamagedRoot, error.to_string()),
+        _ => error,
+    }
+}
+
+/// The root that the commit with this footer had; its superblock may be overwritten.
+fn root_of(footer: &Footer, at: u64) -> Option<Superblock> {
+    let whole = record_bytes(FOOTER_BYTES as u32);
+    Some(Superblock {
+        generation: footer.generation,
+        log_end: align_up(at.checked_add(whole)?, SECTOR as u64)?,
+        catalog: footer.catalog,
+        footer: at,
+        // As the superblock has it: with the footer itself.
+        live: footer.live.saturating_add(whole),
+        garbage: footer.garbage,
+        writer: 0,
+        index: [0, 0],
+        sealed: false,
+    })
 }
 
 /// Most bytes that a reader accepts as payload of a record of this kind.
@@ -390,13 +540,19 @@ pub(crate) fn longest_payload(kind: u8) -> usize {
     }
 }
 
-/// The seed of the checksums, from the header or from its copy in the log.
-fn find_seed(
+fn length_of(storage: &dyn Storage, path: &Path) -> Result<u64> {
+    storage
+        .len()
+        .map_err(|e| Error::io(path, "asking for the length", e))
+}
+
+/// File id and `ro_compat` word, from the header or from its copy in the log.
+fn find_id(
     storage: &dyn Storage,
     path: &Path,
     length: u64,
     notes: &mut Vec<String>,
-) -> Result<u32> {
+) -> Result<([u8; FILE_ID_BYTES], u64)> {
     let read = |offset: u64, bytes: usize| -> Result<Vec<u8>> {
         let mut block = vec![0; bytes];
         if offset + bytes as u64 <= length {
@@ -406,9 +562,9 @@ fn find_seed(
         }
         Ok(block)
     };
-    let first = parse_header(&read(0, SECTOR)?);
-    let error = match first {
-        Ok(id) => return Ok(seed_of(&id)),
+    let header = read(0, SECTOR)?;
+    let error = match parse_header(&header) {
+        Ok(id) => return Ok((id, get_u64(&header, HEADER_RO_COMPAT))),
         Err(error) => error,
     };
     if error.kind() != ErrorKind::Newer {
@@ -417,7 +573,7 @@ fn find_seed(
             && record::open(&copy, seed_of(&id)).is_ok()
         {
             notes.push("the file header is damaged; its copy was used".into());
-            return Ok(seed_of(&id));
+            return Ok((id, get_u64(&copy[RECORD_HEADER..], HEADER_RO_COMPAT)));
         }
     }
     let mut start = vec![0; MAGIC.len().min(length as usize)];

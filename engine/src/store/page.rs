@@ -40,7 +40,7 @@ fn rank(mask: &Mask, slot: usize) -> usize {
 }
 
 /// What the volume says about every page.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct PageRules {
     pub(crate) sample: SampleType,
     /// Bits of the background.
@@ -71,7 +71,7 @@ pub(crate) fn page_origin(brick: [u32; 3], level: u8) -> [u32; 3] {
 }
 
 impl PageRules {
-    fn in_domain(&self, brick: [u32; 3]) -> bool {
+    pub(crate) fn in_domain(&self, brick: [u32; 3]) -> bool {
         (0..3).all(|a| brick[a] < self.bricks[a])
     }
 
@@ -211,6 +211,11 @@ impl Page {
         (0..PAGE_SLOTS)
             .filter(|&s| has(&self.child, s) || has(&self.tile, s))
             .map(|s| (s, self.slot(s)))
+    }
+
+    /// Whether no slot holds anything.
+    pub(crate) fn is_background(&self) -> bool {
+        self.refs.is_empty() && self.tiles.is_empty()
     }
 
     /// The constant that every brick of the domain in this page has, when tiles cover it all.

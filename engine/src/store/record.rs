@@ -67,11 +67,13 @@ pub(crate) struct Head {
     pub(crate) decoded: u32,
     pub(crate) generation: u64,
     pub(crate) key: u64,
+    /// Number of the volume in the catalog.
+    pub(crate) volume: u16,
     pub(crate) level: u8,
 }
 
 impl Head {
-    pub(crate) fn new(kind: RecordKind, generation: u64) -> Self {
+    pub(crate) fn new(kind: RecordKind, generation: u64, volume: u16) -> Self {
         let flags = if kind == RecordKind::History {
             FLAG_SKIPPABLE
         } else {
@@ -84,6 +86,7 @@ impl Head {
             decoded: 0,
             generation,
             key: 0,
+            volume,
             level: 0,
         }
     }
@@ -117,7 +120,7 @@ pub(crate) fn seal(buffer: &mut Vec<u8>, start: usize, head: &Head, seed: u32) -
     );
     put_u64(record, RECORD_GENERATION, head.generation);
     put_u64(record, RECORD_KEY, head.key);
-    put_u16(record, RECORD_VOLUME, 0);
+    put_u16(record, RECORD_VOLUME, head.volume);
     record[RECORD_LEVEL] = head.level;
     record[RECORD_RESERVED] = 0;
     let crc = crc_of(record, seed);
@@ -147,6 +150,7 @@ pub(crate) fn parse_head(record: &[u8]) -> Option<(Head, u32, u32)> {
         decoded: get_u32(record, RECORD_DECODED),
         generation: get_u64(record, RECORD_GENERATION),
         key: get_u64(record, RECORD_KEY),
+        volume: get_u16(record, RECORD_VOLUME),
         level: record[RECORD_LEVEL],
     };
     Some((
@@ -174,8 +178,8 @@ pub(crate) fn open(record: &[u8], seed: u32) -> Result<(Head, &[u8]), String> {
             "checksum {found:08x}, the record says {stored:08x}"
         ));
     }
-    if get_u16(record, RECORD_VOLUME) != 0 || record[RECORD_RESERVED] != 0 {
-        return Err("the record belongs to another volume".into());
+    if record[RECORD_RESERVED] != 0 {
+        return Err("a reserved byte of the record is not zero".into());
     }
     Ok((
         head,
@@ -253,6 +257,8 @@ pub(crate) struct Superblock {
     pub(crate) garbage: u64,
     pub(crate) writer: u64,
     pub(crate) index: [u64; 2],
+    /// One commit, bricks in Morton order, then all pages: made by compaction.
+    pub(crate) sealed: bool,
 }
 
 impl Superblock {
@@ -268,6 +274,7 @@ impl Superblock {
         put_u64(&mut block, SUPER_WRITER, self.writer);
         put_u64(&mut block, SUPER_INDEX, self.index[0]);
         put_u64(&mut block, SUPER_INDEX + 8, self.index[1]);
+        put_u32(&mut block, SUPER_FLAGS, u32::from(self.sealed));
         let crc = crc32c::crc32c_append(seed, &block[..SUPER_CRC]);
         put_u32(&mut block, SUPER_CRC, crc);
         block
@@ -291,6 +298,7 @@ impl Superblock {
             garbage: get_u64(block, SUPER_GARBAGE),
             writer: get_u64(block, SUPER_WRITER),
             index: [get_u64(block, SUPER_INDEX), get_u64(block, SUPER_INDEX + 8)],
+            sealed: get_u32(block, SUPER_FLAGS) & 1 != 0,
         };
         let in_place = superblock_at(root.generation) == offset;
         let ends_well = root.log_end >= LOG_START && root.log_end.is_multiple_of(SECTOR as u64);
@@ -358,7 +366,7 @@ mod tests {
             key: 77,
             level: 1,
             codec: 3,
-            ..Head::new(RecordKind::Page, 5)
+            ..Head::new(RecordKind::Page, 5, 2)
         };
         build(&head, b"thirteen byte", SEED)
     }
@@ -377,7 +385,7 @@ mod tests {
 
     #[test]
     fn record_empty() {
-        let (record, _) = build(&Head::new(RecordKind::Brick, 1), b"", SEED);
+        let (record, _) = build(&Head::new(RecordKind::Brick, 1, 0), b"", SEED);
         assert_eq!(open(&record, SEED).expect("opens").1, b"");
     }
 

@@ -171,6 +171,13 @@ pub struct VolumeInfo {
     pub bytes_file: u64,
     /// `bytes_raw / bytes_file`.
     pub compression: f64,
+    /// Commits so far.
+    pub generation: u64,
+    /// Whether the file was made by [`compact`](super::compact) and not changed since.
+    pub sealed: bool,
+    /// Slabs of bricks that an import has committed which is not finished; the rest of the volume
+    /// reads as background.
+    pub unfinished_slabs: Option<u32>,
 }
 
 #[cfg(test)]

@@ -48,7 +48,7 @@ impl Dense {
     }
 
     /// The brick, with rubbish beyond the domain.
-    fn brick(&self, brick: [u32; 3]) -> Vec<u8> {
+    pub(super) fn brick(&self, brick: [u32; 3]) -> Vec<u8> {
         let (edge, width) = (self.spec.brick_edge as usize, self.spec.sample.bytes());
         let inside = self.spec.brick_box(brick);
         let [nx, ny, nz] = inside.size().map(|n| n as usize);

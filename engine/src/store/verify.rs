@@ -1,16 +1,17 @@
 //! Reads a whole file and checks every checksum and every rule: the tree from the root down, which
 //! tells what is lost in index space, and the log from front to back, which covers every byte.
 
+use super::catalog::Counts;
 use super::codec::decode;
 use super::layout::*;
 use super::open::{Contents, Opened, longest_payload};
 use super::page::{Page, PageRules, Slot, slot_origin};
-use super::record::{self, Footer, RecordKind, Ref, parse_head};
+use super::record::{Footer, RecordKind, Ref, parse_head, parse_header};
 use super::spec::{VolumeInfo, VolumeSpec, page_edge};
 use super::storage::{FileStorage, Storage};
 use super::value::{KeyRange, scan};
 use super::writer::{info_of, rules_of};
-use crate::budget::Budget;
+use crate::budget::{Budget, Permit};
 use crate::error::{Error, ErrorKind, Result};
 use crate::lattice::{Box3, morton_encode};
 use crate::sample::SampleType;
@@ -91,7 +92,8 @@ pub fn verify(path: &Path, budget: &Budget) -> Result<Report> {
 /// As [`verify`].
 pub fn verify_in(storage: Arc<dyn Storage>, name: &Path, budget: &Budget) -> Result<Report> {
     let mut report = Report::default();
-    let opened = Opened::open(storage, name).and_then(|file| file.contents().map(|c| (file, c)));
+    let opened =
+        Opened::open(storage, name).and_then(|file| file.all_contents().map(|c| (file, c)));
     let (file, contents) = match opened {
         Ok(both) => both,
         Err(e) => match e.kind() {
@@ -111,57 +113,127 @@ pub fn verify_in(storage: Arc<dyn Storage>, name: &Path, budget: &Budget) -> Res
             file.length - file.root.log_end
         ));
     }
+    let first = &contents[0];
     report.info = Some(info_of(
-        &contents.spec,
-        contents.range,
-        &contents.counts,
-        contents.entry.root_level,
+        &first.spec,
+        first.range,
+        &first.counts,
+        first.entry.root_level,
         &file.root,
         file.length,
     ));
-    let rules = rules_of(&contents.spec);
-    let longest = rules
-        .brick_bytes
-        .max(PAGE_BYTES_MAX as u32)
-        .max(ATTR_BYTES_MAX as u32);
+    let longest = contents
+        .iter()
+        .map(|c| rules_of(&c.spec).brick_bytes)
+        .max()
+        .unwrap_or(0);
     let _permit = budget.take(
-        u64::from(longest) * 2 + 2 * u64::from(rules.brick_bytes),
+        u64::from(longest.max(CATALOG_BYTES_MAX as u32)) * 2 + 2 * u64::from(longest),
         "verifying",
     )?;
-    budget.progress().start(2 * file.root.log_end);
-    let mut walk = Walk {
+    budget.progress().start(file.root.log_end);
+    let mut reached = Reached::new(budget);
+    let mut live = record_bytes(file.root.catalog.length);
+    for (number, contents) in contents.iter().enumerate() {
+        let rules = rules_of(&contents.spec);
+        let mut walk = Walk {
+            file: &file,
+            spec: &contents.spec,
+            number: number as u16,
+            rules,
+            report: &mut report,
+            budget,
+            reached: &mut reached,
+            buffer: Vec::new(),
+            brick: vec![0; rules.brick_bytes as usize],
+            planes: Vec::new(),
+            counts: Counts::default(),
+            live: 0,
+        };
+        walk.tree(contents)?;
+        live += walk.live + record_bytes(contents.entry.attributes.length);
+        if !contents.entry.history.is_none() {
+            live += record_bytes(contents.entry.history.length);
+        }
+    }
+    let mut log = Log {
         file: &file,
-        spec: &contents.spec,
-        rules,
         report: &mut report,
         budget,
         buffer: Vec::new(),
-        brick: vec![0; rules.brick_bytes as usize],
-        planes: Vec::new(),
-        tiles: 0,
-        tile_bricks: 0,
-        stored: 0,
+        always_live: 0,
+        all: 0,
         search_bytes: file.length.saturating_mul(SEARCH_TIMES),
     };
-    walk.tree(&contents)?;
-    walk.log()?;
+    log.walk(&reached.sorted())?;
+    live += log.always_live;
+    let dead = log.all.saturating_sub(live);
+    let said = (file.root.live, file.root.garbage);
+    if report.is_intact() && said != (live, dead) {
+        report.problem(
+            format!(
+                "the root says {} live and {} dead bytes, the file has {live} and {dead}",
+                said.0, said.1
+            ),
+            None,
+        );
+    }
     Ok(report)
+}
+
+/// Offsets of the records that the trees reached and checked, so that the log need not be read
+/// twice. Gives up when the budget does not hold them: then all of it is read again.
+struct Reached {
+    offsets: Vec<u64>,
+    permit: Option<Permit>,
+}
+
+impl Reached {
+    fn new(budget: &Budget) -> Self {
+        Self {
+            offsets: Vec::new(),
+            permit: budget.try_take(0),
+        }
+    }
+
+    fn push(&mut self, offset: u64) {
+        let Some(permit) = &mut self.permit else {
+            return;
+        };
+        if self.offsets.len() == self.offsets.capacity() {
+            let more = self.offsets.len().max(512);
+            // Old and new places are there together for a moment.
+            if !permit.try_resize((8 * (2 * self.offsets.len() + more)) as u64) {
+                *self = Self {
+                    offsets: Vec::new(),
+                    permit: None,
+                };
+                return;
+            }
+            self.offsets.reserve_exact(more);
+        }
+        self.offsets.push(offset);
+    }
+
+    fn sorted(&mut self) -> &[u64] {
+        self.offsets.sort_unstable();
+        &self.offsets
+    }
 }
 
 struct Walk<'a> {
     file: &'a Opened,
     spec: &'a VolumeSpec,
+    number: u16,
     rules: PageRules,
     report: &'a mut Report,
     budget: &'a Budget,
+    reached: &'a mut Reached,
     buffer: Vec<u8>,
     brick: Vec<u8>,
     planes: Vec<u8>,
-    tiles: u64,
-    tile_bricks: u64,
-    stored: u64,
-    /// Bytes that the search for whole records in damaged stretches may still read.
-    search_bytes: u64,
+    counts: Counts,
+    live: u64,
 }
 
 impl Walk<'_> {
@@ -183,24 +255,17 @@ impl Walk<'_> {
                 None,
             );
         }
-        let counts = &contents.counts;
-        let said = [
-            counts.bricks,
-            counts.pages,
-            counts.tiles,
-            counts.tile_bricks,
-            counts.stored,
-        ];
-        let found = [
-            self.report.bricks,
-            self.report.pages,
-            self.tiles,
-            self.tile_bricks,
-            self.stored,
-        ];
-        if said != found {
+        let found = Counts {
+            slabs: contents.counts.slabs,
+            source_crc: contents.counts.source_crc,
+            ..self.counts
+        };
+        if contents.counts != found {
             self.report.problem(
-                format!("the attributes count {said:?}, the tree has {found:?}"),
+                format!(
+                    "the attributes count {:?}, the tree has {found:?}",
+                    contents.counts
+                ),
                 None,
             );
         }
@@ -218,14 +283,15 @@ impl Walk<'_> {
             }
         };
         self.report.pages += 1;
+        self.counts.pages += 1;
         for (slot, state) in page.slots() {
             let at = slot_origin(origin, level, slot);
             let edge = page_edge(level - 1);
             match state {
                 Slot::Background => {}
                 Slot::Tile(_) => {
-                    self.tiles += 1;
-                    self.tile_bricks += self.rules.bricks_in(at, edge);
+                    self.counts.tiles += 1;
+                    self.counts.tile_bricks += self.rules.bricks_in(at, edge);
                 }
                 Slot::Child(child) => {
                     let range = if level > 1 {
@@ -262,50 +328,48 @@ impl Walk<'_> {
         Err(error)
     }
 
-    fn read(
-        &mut self,
-        reference: &Ref,
-        kind: RecordKind,
-        place: &dyn Fn() -> String,
-    ) -> Result<record::Head> {
-        let head = self
-            .file
-            .read_record(reference, kind, place, &mut self.buffer)?;
+    /// Accounts for a record that was read whole.
+    fn count(&mut self, reference: &Ref) {
         let bytes = record_bytes(reference.length);
         self.report.bytes += bytes;
+        self.live += bytes;
+        self.reached.push(reference.offset);
         self.budget.progress().add(bytes);
-        Ok(head)
     }
 
     fn load_page(&mut self, level: u8, origin: [u32; 3], reference: Ref) -> Result<Page> {
-        let place = || format!("of level {level} at brick {origin:?}");
-        let head = self.read(&reference, RecordKind::Page, &place)?;
+        let page = self.file.read_page(
+            &self.rules,
+            self.number,
+            level,
+            origin,
+            reference,
+            &mut self.buffer,
+        )?;
+        self.count(&reference);
         let [start, length] = self.file.root.index;
         let end = reference.offset + record_bytes(reference.length);
         let spanned = start <= reference.offset && end - start <= length;
         if length > 0 && !spanned {
             self.report.problem(
                 format!(
-                    "node page {} lies outside of the index span {start} + {length}",
-                    place()
+                    "node page of level {level} at brick {origin:?} lies outside of the index span {start} + {length}"
                 ),
                 None,
             );
         }
-        let damaged = |what: String| {
-            self.file
-                .error(ErrorKind::Damaged, format!("node page {}: {what}", place()))
-        };
-        if (head.level, head.key) != (level, morton_encode(origin)) {
-            return Err(damaged("its record has another place".into()));
-        }
-        let payload = &self.buffer[RECORD_HEADER..][..reference.length as usize];
-        Page::decode(&self.rules, level, origin, reference.offset, payload).map_err(damaged)
+        Ok(page)
     }
 
     fn load_brick(&mut self, brick: [u32; 3], reference: Ref) -> Result<KeyRange> {
         let place = || format!("{brick:?}");
-        let head = self.read(&reference, RecordKind::Brick, &place)?;
+        let head = self.file.read_record(
+            &reference,
+            RecordKind::Brick,
+            self.number,
+            &place,
+            &mut self.buffer,
+        )?;
         let damaged = |what: &str| {
             self.file.error(
                 ErrorKind::Damaged,
@@ -328,22 +392,49 @@ impl Walk<'_> {
             &mut self.planes,
         )
         .map_err(damaged)?;
+        self.count(&reference);
         self.report.bricks += 1;
-        self.stored += u64::from(reference.length);
+        self.counts.bricks += 1;
+        self.counts.stored += u64::from(reference.length);
         Ok(range_of(self.spec.sample, &self.brick))
     }
+}
 
-    /// Every byte of the log: records one after the other, commit by commit.
-    fn log(&mut self) -> Result<()> {
+/// The log from front to back.
+struct Log<'a> {
+    file: &'a Opened,
+    report: &'a mut Report,
+    budget: &'a Budget,
+    buffer: Vec<u8>,
+    /// Bytes of footers and of the header copy.
+    always_live: u64,
+    /// Bytes of all records.
+    all: u64,
+    /// Bytes that the search for whole records in damaged stretches may still read.
+    search_bytes: u64,
+}
+
+impl Log<'_> {
+    /// Every byte of the log: records one after the other, commit by commit. Of those `reached` (in
+    /// order) only the header is read.
+    fn walk(&mut self, mut reached: &[u64]) -> Result<()> {
         let end = self.file.root.log_end;
         let (mut at, mut start, mut chain, mut records) =
             (LOG_START, LOG_START, self.file.seed, 0u64);
-        let (mut whole, mut all, mut last) = (true, 0u64, None);
+        let (mut whole, mut last) = (true, None);
         self.report.bytes += LOG_START;
         while at < end {
             self.budget.check_cancelled()?;
+            while reached.first().is_some_and(|&r| r < at) {
+                reached = &reached[1..];
+            }
+            let known = reached.first() == Some(&at);
             let mut buffer = std::mem::take(&mut self.buffer);
-            let found = self.file.record_at(at, &mut buffer)?;
+            let found = if known {
+                self.file.head_at(at, &mut buffer)?
+            } else {
+                self.file.record_at(at, &mut buffer)?
+            };
             self.buffer = buffer;
             let Some((head, reference)) = found else {
                 let next = self.next_record(at, end)?;
@@ -359,13 +450,19 @@ impl Walk<'_> {
             };
             let bytes = record_bytes(reference.length);
             self.report.records += 1;
-            all += bytes;
+            self.all += bytes;
             if at == LOG_START {
                 self.check_header_copy()?;
             }
-            self.report.bytes += bytes;
-            self.budget.progress().add(bytes);
+            if !known {
+                self.report.bytes += bytes;
+                self.budget.progress().add(bytes);
+            }
+            if head.kind == RecordKind::Header as u8 {
+                self.always_live += bytes;
+            }
             if head.kind == RecordKind::Footer as u8 {
+                self.always_live += bytes;
                 let payload = &self.buffer[RECORD_HEADER..][..reference.length as usize];
                 let footer = Footer::parse(payload);
                 let fits = footer
@@ -390,17 +487,6 @@ impl Walk<'_> {
         if last.is_some_and(|l| l != (root.footer, root.generation, root.catalog)) {
             self.report
                 .problem("the last footer is not that of the root", None);
-        }
-        // Damaged stretches hide records.
-        let intact = self.report.is_intact();
-        if intact && root.live.checked_add(root.garbage) != Some(all) {
-            self.report.problem(
-                format!(
-                    "the root counts {} live and {} dead bytes, the records have {all}",
-                    root.live, root.garbage
-                ),
-                None,
-            );
         }
         Ok(())
     }
@@ -452,7 +538,7 @@ impl Walk<'_> {
             .storage
             .read_at(&mut header, 0)
             .map_err(|e| Error::io(&self.file.path, "reading the header", e))?;
-        if record::parse_header(&header).is_ok()
+        if parse_header(&header).is_ok()
             && self.buffer.get(RECORD_HEADER..RECORD_HEADER + SECTOR) != Some(&header[..])
         {
             self.report

@@ -2,16 +2,19 @@
 //! out of them, and answers ranges without touching a brick.
 
 use super::cache::{self, PageCache};
-use super::catalog::Counts;
+use super::catalog::{Counts, Entry};
 use super::codec::{bit_at, decode};
+use super::damage::{Damage, OnDamage, stand_in};
 use super::label::LabelField;
 use super::layout::{RECORD_HEADER, brick_bytes, record_bytes};
+use super::lod::{MAX_LEVELS, fits};
 use super::open::{Contents, Opened};
 use super::page::{FIRST_NODE, NODES, Page, PageRules, Slot, page_origin, slot_of};
 use super::record::{RecordKind, Ref};
 use super::spec::{VolumeInfo, VolumeSpec, page_edge};
 use super::storage::{FileStorage, Storage};
 use super::value::{KeyRange, f32_of};
+use super::verify::Problem;
 use super::writer::{info_of, rules_of};
 use crate::budget::{Budget, Permit};
 use crate::error::{Error, ErrorKind, Result};
@@ -31,17 +34,24 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// buffer of about two bricks. All of it is under permit.
 pub struct Volume {
     file: Opened,
+    /// In the catalog.
+    number: u16,
+    names: Vec<String>,
+    /// Numbers of the coarser levels, where they fit the samples.
+    pub(super) lods: Vec<u16>,
     spec: VolumeSpec,
     rules: PageRules,
     range: KeyRange,
     counts: Counts,
     page_levels: u8,
     root: Option<cache::Ref<Page>>,
-    pages: PageCache<(u8, u64), Page>,
-    bricks: PageCache<u64, Vec<u8>>,
+    /// By offset and place: both, so that entries outlive a refresh and never stand for another.
+    pages: PageCache<(u64, u8, u64), Page>,
+    bricks: PageCache<(u64, u64), Vec<u8>>,
     buffers: Mutex<Vec<Buffers>>,
     budget: Budget,
     decoded: AtomicU64,
+    damage: Damage,
 }
 
 /// Working space of one decoding thread.
@@ -77,18 +87,60 @@ impl Volume {
     /// # Errors
     /// As [`open`](Self::open).
     pub fn open_in(storage: Arc<dyn Storage>, name: &Path, budget: &Budget) -> Result<Self> {
+        Self::open_nth(Opened::open(storage, name)?, 0, budget)
+    }
+
+    /// Opens the volume called `volume` of the file at `path`.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open), or there is no such volume.
+    pub fn open_named(path: &Path, volume: &str, budget: &Budget) -> Result<Self> {
+        let file = File::open(path).map_err(|e| Error::io(path, "opening the volume", e))?;
+        Self::open_named_in(Arc::new(FileStorage(file)), path, volume, budget)
+    }
+
+    /// Opens the volume called `volume` in `storage`; `name` is for messages.
+    ///
+    /// # Errors
+    /// As [`open_named`](Self::open_named).
+    pub fn open_named_in(
+        storage: Arc<dyn Storage>,
+        name: &Path,
+        volume: &str,
+        budget: &Budget,
+    ) -> Result<Self> {
         let file = Opened::open(storage, name)?;
+        let entries = file.catalog()?;
+        match entries.iter().position(|e| e.lod == 0 && e.name == volume) {
+            Some(number) => Self::open_nth(file, number, budget),
+            None => Err(file.error(
+                ErrorKind::BadInput,
+                format!(
+                    "no volume named {volume:?}: there are {:?}",
+                    names(&entries)
+                ),
+            )),
+        }
+    }
+
+    pub(super) fn open_nth(file: Opened, number: usize, budget: &Budget) -> Result<Self> {
+        let mut entries = file.catalog()?;
+        let names = names(&entries);
+        let lods = lods(&file, &entries, number)?;
         let Contents {
             spec,
             range,
             counts,
             entry,
-        } = file.contents()?;
+        } = file.contents(number as u16, entries.swap_remove(number))?;
         let memory = budget.memory_bytes();
         let brick = brick_bytes(spec.sample, spec.brick_edge) as u64;
         let mut volume = Self {
             rules: rules_of(&spec),
             file,
+            number: number as u16,
+            names,
+            lods,
             range,
             counts,
             page_levels: entry.root_level,
@@ -98,25 +150,129 @@ impl Volume {
             buffers: Mutex::default(),
             budget: budget.clone(),
             decoded: AtomicU64::new(0),
+            damage: Damage::default(),
             spec,
         };
-        if !entry.root.is_none() {
-            let root = volume.page(entry.root_level, [0; 3], entry.root);
+        volume.root = volume.load_root(entry.root_level, entry.root, range)?;
+        Ok(volume)
+    }
+
+    /// The root page, which must have the range of the attributes.
+    fn load_root(&self, level: u8, root: Ref, range: KeyRange) -> Result<Option<cache::Ref<Page>>> {
+        let mut page = None;
+        let mut found = KeyRange::of_bits(self.spec.sample, self.rules.background);
+        if !root.is_none() {
             // Without its root nothing of the volume can be found.
-            volume.root = Some(root.map_err(|e| match e.kind() {
+            let loaded = self.page(level, [0; 3], root).map_err(|e| match e.kind() {
                 ErrorKind::Damaged => Error::new(ErrorKind::DamagedRoot, e.to_string()),
                 _ => e,
-            })?);
+            })?;
+            found = loaded.whole();
+            page = Some(loaded);
         }
-        let background = KeyRange::of_bits(volume.spec.sample, volume.rules.background);
-        let found = volume.root.as_ref().map_or(background, |page| page.whole());
-        if found != volume.range {
-            return Err(volume.file.error(
+        if found != range {
+            return Err(self.file.error(
                 ErrorKind::DamagedRoot,
                 "the range in the attributes is not that of the root page",
             ));
         }
-        Ok(volume)
+        Ok(page)
+    }
+
+    /// Goes on to the newest generation of the file; `true` when there is a newer one. What is cached
+    /// and did not change stays cached. After an error the volume is as it was.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn refresh(&mut self) -> Result<bool> {
+        let file = Opened::open(self.file.storage.clone(), &self.file.path)?;
+        if file.root.generation == self.file.root.generation {
+            return Ok(false);
+        }
+        self.show(file)?;
+        Ok(true)
+    }
+
+    /// The same volume as it was at `generation`, as another reader with caches of its own.
+    /// Generations stay readable until the file is compacted.
+    ///
+    /// # Errors
+    /// `BadInput` when there is no such generation, or the volume was not there yet; `Damaged` when
+    /// the way back to it is.
+    pub fn open_generation(&self, generation: u64) -> Result<Self> {
+        let mut file = Opened::open(self.file.storage.clone(), &self.file.path)?;
+        file.go_back(generation)?;
+        if usize::from(self.number) >= file.catalog()?.len() {
+            return Err(file.error(
+                ErrorKind::BadInput,
+                format!("generation {generation} has no volume {:?}", self.spec.name),
+            ));
+        }
+        Self::open_nth(file, self.number.into(), &self.budget)
+    }
+
+    /// Replaces what is shown by the root of `file`, which is the same file.
+    fn show(&mut self, file: Opened) -> Result<()> {
+        let mut entries = file.catalog()?;
+        let number = usize::from(self.number);
+        if number >= entries.len() {
+            return Err(file.error(ErrorKind::BadInput, "another file is in its place"));
+        }
+        let names = names(&entries);
+        let lods = lods(&file, &entries, number)?;
+        let Contents {
+            spec,
+            range,
+            counts,
+            entry,
+        } = file.contents(self.number, entries.swap_remove(number))?;
+        if rules_of(&spec) != self.rules || spec.grid != self.spec.grid {
+            return Err(file.error(ErrorKind::BadInput, "another file is in its place"));
+        }
+        let before = std::mem::replace(&mut self.file, file);
+        match self.load_root(entry.root_level, entry.root, range) {
+            Ok(root) => self.root = root,
+            Err(e) => {
+                self.file = before;
+                return Err(e);
+            }
+        }
+        (self.spec, self.range, self.counts) = (spec, range, counts);
+        (self.names, self.lods, self.page_levels) = (names, lods, entry.root_level);
+        Ok(())
+    }
+
+    /// Generation of the file that is shown: 1 for a new file, one more for each commit.
+    pub fn generation(&self) -> u64 {
+        self.file.root.generation
+    }
+
+    /// What reads do from now on where the file is damaged.
+    pub fn set_on_damage(&mut self, policy: OnDamage) {
+        self.damage.policy = policy;
+    }
+
+    /// What was substituted so far, see [`OnDamage::Substitute`]; at most
+    /// [`MAX_PROBLEMS`](super::MAX_PROBLEMS) places.
+    pub fn substituted(&self) -> Vec<Problem> {
+        self.damage.found()
+    }
+
+    pub(super) fn number(&self) -> u16 {
+        self.number
+    }
+
+    pub(super) fn file(&self) -> &Opened {
+        &self.file
+    }
+
+    pub(super) fn budget(&self) -> &Budget {
+        &self.budget
+    }
+
+    /// Names of the volumes of the file; [`open`](Self::open) opens the first.
+    pub fn names(&self) -> &[String] {
+        &self.names
     }
 
     /// What the volume is.
@@ -214,14 +370,16 @@ impl Volume {
                     let to: [usize; 3] = std::array::from_fn(|a| (start[a] - low[a]) as usize);
                     let from: [usize; 3] =
                         std::array::from_fn(|a| (start[a] - brick[a] * edge) as usize);
-                    let slot = self.locate(brick, &mut cursor)?;
-                    let data = match slot {
-                        Slot::Child(reference) => Some(self.brick(brick, reference)?),
-                        _ => None,
-                    };
-                    let constant = match slot {
-                        Slot::Tile(bits) => bits,
-                        _ => self.rules.background,
+                    let (data, constant) = match self.locate(brick, &mut cursor)? {
+                        (Slot::Background, _) => (None, self.rules.background),
+                        (Slot::Tile(bits), _) => (None, bits),
+                        (Slot::Child(reference), range) => match self.brick(brick, reference) {
+                            Ok(data) => (Some(data), 0),
+                            Err(e) => {
+                                self.damage.substitute(e, self.spec.brick_box(brick))?;
+                                (None, stand_in(&self.rules, range))
+                            }
+                        },
                     };
                     let e = edge as usize;
                     for k in 0..n[2] {
@@ -243,49 +401,65 @@ impl Volume {
         Ok(())
     }
 
-    /// What the octree says about a brick; `cursor` remembers the last page above bricks.
-    fn locate(&self, brick: [u32; 3], cursor: &mut Option<cache::Ref<Page>>) -> Result<Slot> {
+    /// What the octree says about a brick, and its range where that is a child; `cursor` remembers
+    /// the last page above bricks.
+    fn locate(
+        &self,
+        brick: [u32; 3],
+        cursor: &mut Option<cache::Ref<Page>>,
+    ) -> Result<(Slot, KeyRange)> {
+        let at = |page: &Page| {
+            let slot = slot_of(brick, page.level);
+            (page.slot(slot), page.range(slot))
+        };
         if let Some(page) = cursor
             && page.origin == page_origin(brick, 1)
         {
-            return Ok(page.slot(slot_of(brick, 1)));
+            return Ok(at(page));
         }
         let Some(mut page) = self.root.clone() else {
-            return Ok(Slot::Background);
+            return Ok((Slot::Background, KeyRange::empty(self.spec.sample)));
         };
         while page.level > 1 {
-            match page.slot(slot_of(brick, page.level)) {
-                Slot::Child(reference) => {
-                    let level = page.level - 1;
-                    page = self.page(level, page_origin(brick, level), reference)?;
+            let (Slot::Child(reference), range) = at(&page) else {
+                return Ok(at(&page));
+            };
+            let level = page.level - 1;
+            let origin = page_origin(brick, level);
+            match self.page(level, origin, reference) {
+                Ok(below) => page = below,
+                Err(e) => {
+                    let lost = self.spec.node_box(origin, page_edge(level));
+                    self.damage.substitute(e, lost)?;
+                    return Ok((Slot::Tile(stand_in(&self.rules, range)), range));
                 }
-                constant => return Ok(constant),
             }
         }
-        let slot = page.slot(slot_of(brick, 1));
+        let found = at(&page);
         *cursor = Some(page);
-        Ok(slot)
+        Ok(found)
     }
 
     fn page(&self, level: u8, origin: [u32; 3], reference: Ref) -> Result<cache::Ref<Page>> {
         let key = morton_encode(origin);
-        self.pages
-            .get((level, key), page_charge(reference.length), || {
+        self.pages.get(
+            (reference.offset, level, key),
+            page_charge(reference.length),
+            || {
                 let _permit = self
                     .budget
                     .take(record_bytes(reference.length), "reading a node page")?;
                 let mut buffer = Vec::new();
-                let place = || format!("of level {level} at brick {origin:?}");
-                let head =
-                    self.file
-                        .read_record(&reference, RecordKind::Page, &place, &mut buffer)?;
-                let payload = &buffer[RECORD_HEADER..][..reference.length as usize];
-                if (head.level, head.key) != (level, key) {
-                    return Err(self.damaged(&place(), "its record has another place"));
-                }
-                Page::decode(&self.rules, level, origin, reference.offset, payload)
-                    .map_err(|e| self.damaged(&format!("node page {}", place()), e))
-            })
+                self.file.read_page(
+                    &self.rules,
+                    self.number,
+                    level,
+                    origin,
+                    reference,
+                    &mut buffer,
+                )
+            },
+        )
     }
 
     fn damaged(&self, place: &str, what: impl std::fmt::Display) -> Error {
@@ -295,7 +469,8 @@ impl Volume {
 
     fn brick(&self, brick: [u32; 3], reference: Ref) -> Result<cache::Ref<Vec<u8>>> {
         let bytes = self.rules.brick_bytes as usize;
-        self.bricks.get(morton_encode(brick), bytes as u64, || {
+        let key = (reference.offset, morton_encode(brick));
+        self.bricks.get(key, bytes as u64, || {
             let mut buffers = self.take_buffers()?;
             let mut out = vec![0; bytes];
             let result = self.load_brick(brick, reference, &mut buffers, &mut out);
@@ -337,9 +512,13 @@ impl Volume {
         out: &mut [u8],
     ) -> Result<()> {
         let place = || format!("{brick:?} (samples {})", self.spec.brick_box(brick));
-        let head =
-            self.file
-                .read_record(&reference, RecordKind::Brick, &place, &mut buffers.record)?;
+        let head = self.file.read_record(
+            &reference,
+            RecordKind::Brick,
+            self.number,
+            &place,
+            &mut buffers.record,
+        )?;
         if head.key != morton_encode(brick) || head.level != 0 || head.decoded as usize != out.len()
         {
             return Err(self.damaged(
@@ -359,6 +538,21 @@ impl Volume {
         .map_err(|e| self.damaged(&format!("brick {}", place()), e))?;
         self.decoded.fetch_add(1, Ordering::Relaxed);
         Ok(())
+    }
+
+    /// [`range`](Field::range) in the native type.
+    pub(super) fn key_range(&self, region: Box3) -> Result<KeyRange> {
+        let mut union = KeyRange::empty(self.spec.sample);
+        self.visit_ranges(region, &mut |range, leaf, inside| {
+            if union.covers(&range) {
+                return false;
+            }
+            if leaf || inside {
+                union = union.union(range);
+            }
+            !inside
+        })?;
+        Ok(union)
     }
 
     /// Visits octree nodes that meet `region`, coarse to fine: `visit(range, is_leaf, is_inside)`
@@ -423,8 +617,14 @@ impl Volume {
             return Ok(());
         }
         if let Some(reference) = child {
-            let below = self.page(page.level - 1, min, reference)?;
-            return self.visit_node(&below, 3, 0, min, query, visit);
+            return match self.page(page.level - 1, min, reference) {
+                Ok(below) => self.visit_node(&below, 3, 0, min, query, visit),
+                Err(e) => {
+                    self.damage.substitute(e, self.spec.node_box(min, edge))?;
+                    visit(page.range(FIRST_NODE[0] + index), true, inside);
+                    Ok(())
+                }
+            };
         }
         for c in 0..8 {
             let step = morton_decode(c as u64);
@@ -433,6 +633,32 @@ impl Volume {
         }
         Ok(())
     }
+}
+
+fn names(entries: &[Entry]) -> Vec<String> {
+    let own = entries.iter().filter(|e| e.lod == 0);
+    own.map(|e| e.name.clone()).collect()
+}
+
+/// Numbers of the coarser levels of volume `number`, from level 1 on without gap; those that were
+/// built from other samples are left out.
+fn lods(file: &Opened, entries: &[Entry], number: usize) -> Result<Vec<u16>> {
+    let mut lods = Vec::new();
+    if entries[number].lod != 0 {
+        return Ok(lods);
+    }
+    for lod in 1..=MAX_LEVELS {
+        let of_this = |e: &Entry| (e.lod, usize::from(e.parent)) == (lod, number);
+        let Some(level) = entries.iter().position(of_this) else {
+            break;
+        };
+        let counts = file.contents(level as u16, entries[level].clone())?.counts;
+        if !fits(&entries[number], &counts) {
+            break;
+        }
+        lods.push(level as u16);
+    }
+    Ok(lods)
 }
 
 /// Bricks that a region meets, inclusive.
@@ -478,17 +704,7 @@ impl Field for Volume {
     }
 
     fn range(&self, region: Box3) -> Result<Range> {
-        let mut union = KeyRange::empty(self.spec.sample);
-        self.visit_ranges(region, &mut |range, leaf, inside| {
-            if union.covers(&range) {
-                return false;
-            }
-            if leaf || inside {
-                union = union.union(range);
-            }
-            !inside
-        })?;
-        Ok(union.to_range(self.spec.sample))
+        Ok(self.key_range(region)?.to_range(self.spec.sample))
     }
 
     fn forget(&self, region: Box3) {
@@ -510,10 +726,15 @@ impl Field for Volume {
                 end / edge
             }
         });
+        let mut cursor = None;
         for z in first[2]..end[2] {
             for y in first[1]..end[1] {
                 for x in first[0]..end[0] {
-                    self.bricks.forget(&morton_encode([x, y, z]));
+                    // Where the index cannot be read there is nothing to forget.
+                    if let Ok((Slot::Child(brick), _)) = self.locate([x, y, z], &mut cursor) {
+                        let key = (brick.offset, morton_encode([x, y, z]));
+                        self.bricks.forget(&key);
+                    }
                 }
             }
         }

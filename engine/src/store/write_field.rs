@@ -1,17 +1,16 @@
-//! Any field into a volume file: descends an octree by range, so that constant regions cost one
-//! question and become tiles at the highest level, and evaluates bricks side by side.
+//! Any field into a volume file: constant regions cost one question and become tiles at the highest
+//! level.
 
-use super::crew::{BATCH_EDGE, Crew, threads_for};
+use super::fill::{Bricks, Room, fill_with};
 use super::spec::{VolumeInfo, VolumeSpec};
 use super::value::bits_of;
-use super::writer::{Encoded, VolumeWriter};
+use super::writer::VolumeWriter;
 use crate::budget::Budget;
 use crate::error::{Error, Result};
 use crate::field::{Field, Range, Samples};
-use crate::lattice::morton_decode;
+use crate::lattice::Box3;
 use crate::sample::SampleType;
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
 
 /// Writes `field` over the domain of `spec` to a volume file at `out`.
 ///
@@ -44,120 +43,45 @@ pub fn write_field(
     writer.finish()
 }
 
-/// Puts every brick of `field` into `writer`.
+/// Puts every brick of `field` into the first volume of `writer`.
 pub(super) fn fill(field: &dyn Field, writer: &VolumeWriter, budget: &Budget) -> Result<()> {
-    let spec = writer.spec();
-    let unit = (BATCH_EDGE / spec.brick_edge).max(1).ilog2() as u8;
-    let unit_bricks = 8u64.pow(unit.into());
-    let samples = u64::from(spec.brick_edge).pow(3);
-    let own_bytes = samples * (4 + spec.sample.bytes() as u64);
-    let per_thread = own_bytes + writer.encoder_charge(unit_bricks);
-    let threads = threads_for(budget, per_thread);
-    budget
-        .progress()
-        .start(writer.bricks().into_iter().map(u64::from).product());
-    let descent = Mutex::new(Descent {
-        stack: vec![([0; 3], 3 * spec.root_level())],
-        ticket: 0,
-    });
-    let crew = Crew::default();
-    std::thread::scope(|scope| {
-        for _ in 0..threads {
-            scope.spawn(|| {
-                crew.run(|| {
-                    let mut encoder = writer.new_encoder(unit_bricks)?;
-                    let _permit = budget.take(own_bytes, "evaluating a brick")?;
-                    let mut values = vec![0f32; samples as usize];
-                    let mut raw = vec![0u8; samples as usize * spec.sample.bytes()];
-                    loop {
-                        budget.check_cancelled()?;
-                        if crew.has_failed() {
-                            return Ok(());
-                        }
-                        let next = descent
-                            .lock()
-                            .unwrap_or_else(PoisonError::into_inner)
-                            .next(field, writer, unit, budget)?;
-                        let Some((ticket, min)) = next else {
-                            return Ok(());
-                        };
-                        encoder.batch.clear();
-                        for n in 0..unit_bricks {
-                            let step = morton_decode(n);
-                            let brick: [u32; 3] = std::array::from_fn(|a| min[a] + step[a]);
-                            if (0..3).any(|a| brick[a] >= writer.bricks()[a]) {
-                                continue;
-                            }
-                            budget.progress().add(1);
-                            let region = spec.brick_box(brick);
-                            if let Some(bits) = constant(spec.sample, field.range(region)?) {
-                                encoder.batch.bricks.push((brick, writer.constant(bits)));
-                                continue;
-                            }
-                            let edge = spec.brick_edge as usize;
-                            let mut block = Samples {
-                                values: &mut values,
-                                row: edge,
-                                slice: edge * edge,
-                            };
-                            field.read(region, &mut block)?;
-                            to_raw(spec.sample, &values, &mut raw);
-                            encoder.encode(writer, brick, &raw);
-                        }
-                        crew.append(ticket, writer, &encoder)?;
-                    }
-                });
-            });
-        }
-    });
-    crew.finish()
+    fill_with(&FieldBricks(field), writer, 0, budget)
 }
 
-/// What is left of the octree, in Morton order from the top of the stack.
-struct Descent {
-    stack: Vec<([u32; 3], u8)>,
-    ticket: u64,
-}
+struct FieldBricks<'a>(&'a dyn Field);
 
-impl Descent {
-    /// The next cube of level `unit` that is not known to be constant, with its ticket. Larger
-    /// constant cubes are put on the way.
-    fn next(
-        &mut self,
-        field: &dyn Field,
-        writer: &VolumeWriter,
-        unit: u8,
-        budget: &Budget,
-    ) -> Result<Option<(u64, [u32; 3])>> {
-        let spec = writer.spec();
-        while let Some((min, level)) = self.stack.pop() {
-            if (0..3).any(|a| min[a] >= writer.bricks()[a]) {
-                continue;
-            }
-            if level <= unit {
-                self.ticket += 1;
-                return Ok(Some((self.ticket - 1, min)));
-            }
-            budget.check_cancelled()?;
-            let edge = 1u32 << level;
-            if let Some(bits) = constant(spec.sample, field.range(spec.node_box(min, edge))?) {
-                writer.put_constant_bits(min, level, bits)?;
-                budget.progress().add(
-                    (0..3)
-                        .map(|a| u64::from((writer.bricks()[a] - min[a]).min(edge)))
-                        .product(),
-                );
-                continue;
-            }
-            for n in (0..8).rev() {
-                let step = morton_decode(n);
-                self.stack.push((
-                    std::array::from_fn(|a| min[a] + step[a] * (edge / 2)),
-                    level - 1,
-                ));
-            }
+impl Bricks for FieldBricks<'_> {
+    fn constant(&self, spec: &VolumeSpec, region: Box3) -> Result<Option<u32>> {
+        Ok(constant(spec.sample, self.0.range(region)?))
+    }
+
+    fn brick(
+        &self,
+        spec: &VolumeSpec,
+        region: Box3,
+        raw: &mut [u8],
+        room: &mut Room,
+    ) -> Result<()> {
+        let edge = spec.brick_edge as usize;
+        let mut block = Samples {
+            values: &mut room.values,
+            row: edge,
+            slice: edge * edge,
+        };
+        self.0.read(region, &mut block)?;
+        to_raw(spec.sample, &room.values, raw);
+        Ok(())
+    }
+
+    fn room(&self, spec: &VolumeSpec) -> Room {
+        Room {
+            values: vec![0.0; (spec.brick_edge as usize).pow(3)],
+            raw: Vec::new(),
         }
-        Ok(None)
+    }
+
+    fn room_bytes(&self, spec: &VolumeSpec) -> u64 {
+        u64::from(spec.brick_edge).pow(3) * 4
     }
 }
 
@@ -192,23 +116,13 @@ fn to_raw(sample: SampleType, values: &[f32], raw: &mut [u8]) {
     }
 }
 
-impl VolumeWriter {
-    fn constant(&self, bits: u32) -> Encoded {
-        if bits == self.background_bits() {
-            Encoded::Background
-        } else {
-            Encoded::Tile(bits)
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::tests::{Dense, mixed, open, spec};
     use super::super::{MemoryStorage, Volume};
     use super::*;
     use crate::field::FromFn;
-    use crate::{Box3, ErrorKind, Grid, Kind};
+    use crate::{ErrorKind, Grid, Kind};
     use std::sync::Arc;
 
     fn bytes_with(

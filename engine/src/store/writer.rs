@@ -1,26 +1,35 @@
-//! The only way to make a volume file: bricks in any order from any thread, then one commit.
+//! The only way to make or change a volume file: bricks in any order from any thread, then a commit.
 
-use super::catalog::{Counts, Entry, encode_attributes, encode_catalog};
-use super::codec::{Encoder, encoder_bytes, pack_bits};
-use super::layout::{FILE_ID_BYTES, RECORD_HEADER, brick_bytes, record_bytes};
+use super::aside::{Aside, create_aside};
+use super::catalog::{Counts, encode_attributes};
+use super::codec::encoder_bytes;
+use super::commit::{Saved, SavedPart};
+use super::encode::{Batch, BrickEncoder, Encoded};
+use super::layout::{
+    FILE_ID_BYTES, KNOWN_RO_COMPAT, LOG_START, MAX_VOLUMES, brick_bytes, record_bytes,
+};
 use super::log::Log;
-use super::meta;
+use super::open::{Contents, Opened};
 use super::page::PageRules;
-use super::record::{Head, RecordKind, Ref, seal};
+use super::record::{Ref, Superblock, seed_of};
 use super::spec::{VolumeInfo, VolumeSpec};
 use super::storage::{FileStorage, Storage};
 use super::tree::Tree;
-use super::value::{KeyRange, bits_of, bits_of_raw, exact_bits_of, scan};
-use crate::budget::{Budget, Permit};
+use super::value::{KeyRange, bits_of, exact_bits_of};
+use crate::budget::Budget;
 use crate::error::{Error, ErrorKind, Result};
-use crate::lattice::morton_encode;
 use crate::sample::SampleType;
-use std::fs::{File, OpenOptions};
+use std::fs::OpenOptions;
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 
-/// Writes a volume file. Nothing appears under the final name before [`finish`](Self::finish);
-/// dropping an unfinished writer removes what it wrote aside.
+/// Writes a volume file: a new one ([`create`](Self::create)), of which nothing appears under the
+/// final name before [`finish`](Self::finish), or changes to one ([`open`](Self::open)), which
+/// appear with each [`commit`](Self::commit). What was put since the last commit is lost when the
+/// writer is dropped; a new file that was not finished is removed.
+///
+/// Readers are never disturbed: committed bytes are not written again.
 ///
 /// ```
 /// use brickmarch::{Box3, Budget, Field, Grid, SampleType};
@@ -35,69 +44,80 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// let volume = Volume::open(&path, &budget).unwrap();
 /// assert_eq!(volume.range(Box3::new([0, 0, 0], [8, 8, 8])).unwrap().max, 0.0);
 /// assert_eq!(volume.range(Box3::new([0, 0, 0], [9, 8, 8])).unwrap().max, 7.0);
+///
+/// let writer = VolumeWriter::open(&path, &budget).unwrap();
+/// writer.put_brick([0, 0, 0], &[9; 512]).unwrap();
+/// assert_eq!(writer.commit().unwrap(), 2);
+/// assert_eq!(Volume::open(&path, &budget).unwrap().info().unwrap().range.max, 9.0);
 /// ```
 pub struct VolumeWriter {
-    log: Log,
-    tree: Mutex<Tree>,
-    counts: Mutex<Counts>,
-    spec: VolumeSpec,
-    background: u32,
+    pub(super) log: Log,
+    pub(super) parts: Vec<Part>,
+    pub(super) saved: Mutex<Saved>,
+    /// Puts share it, a commit has it alone.
+    pub(super) gate: RwLock<()>,
+    pub(super) replace: bool,
+    writer: u64,
+    /// Whether the next commit makes a sealed file.
+    pub(super) sealed: bool,
     path: PathBuf,
     aside: Option<Aside>,
-    budget: Budget,
+    pub(super) budget: Budget,
+}
+
+/// One volume of the file while it is written.
+pub(crate) struct Part {
+    pub(crate) spec: VolumeSpec,
+    pub(crate) rules: PageRules,
+    /// Level of detail of volume `parent`; 0 for a volume of its own.
+    pub(crate) lod: u8,
+    pub(crate) parent: u16,
+    tree: Mutex<Tree>,
     encoders: Mutex<Vec<BrickEncoder>>,
+    /// Slabs and source checksum of a running import; of a level of detail 0 and the checksum of
+    /// the root page that it was built from.
+    mark: Mutex<(u32, u32)>,
 }
 
-/// The temporary file; removed when dropped.
-pub(crate) struct Aside {
-    path: PathBuf,
-    renamed: bool,
-}
+impl Part {
+    pub(super) fn new(spec: &VolumeSpec, replace: bool, budget: &Budget) -> Result<Self> {
+        let rules = rules_of(spec);
+        Ok(Self {
+            tree: Mutex::new(Tree::new(rules, spec.root_level(), replace, budget)?),
+            rules,
+            spec: spec.clone(),
+            lod: 0,
+            parent: 0,
+            encoders: Mutex::default(),
+            mark: Mutex::default(),
+        })
+    }
 
-impl Drop for Aside {
-    fn drop(&mut self) {
-        if !self.renamed {
-            // Nothing can be done about a failure here; the name says that it is temporary.
-            let _ = std::fs::remove_file(&self.path);
+    pub(super) fn tree(&self) -> MutexGuard<'_, Tree> {
+        self.tree.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn mark(&self) -> (u32, u32) {
+        *self.mark.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn set_mark(&self, mark: (u32, u32)) {
+        *self.mark.lock().unwrap_or_else(PoisonError::into_inner) = mark;
+    }
+
+    fn check_inside(&self, brick: [u32; 3]) -> Result<()> {
+        let bricks = self.rules.bricks;
+        if !self.rules.in_domain(brick) {
+            return Err(Error::bad_input(format!(
+                "brick {brick:?} is outside of the lattice of {bricks:?} bricks"
+            )));
         }
+        Ok(())
     }
-}
 
-impl Aside {
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
+    fn batch_bytes(&self, bricks: u64) -> u64 {
+        bricks * record_bytes(self.rules.brick_bytes) + 64
     }
-}
-
-/// What came out of one brick.
-pub(crate) enum Encoded {
-    Background,
-    Tile(u32),
-    /// Sealed record in the output of the encoder, relative offset.
-    Brick(Ref, KeyRange),
-}
-
-/// A batch of encoded bricks in the order of the file.
-#[derive(Default)]
-pub(crate) struct Batch {
-    pub(crate) bytes: Vec<u8>,
-    pub(crate) bricks: Vec<([u32; 3], Encoded)>,
-}
-
-impl Batch {
-    pub(crate) fn clear(&mut self) {
-        self.bytes.clear();
-        self.bricks.clear();
-    }
-}
-
-/// Buffers of one thread for encoding.
-pub(crate) struct BrickEncoder {
-    encoder: Encoder,
-    padded: Vec<u8>,
-    packed: Vec<u8>,
-    pub(crate) batch: Batch,
-    _permit: Permit,
 }
 
 impl VolumeWriter {
@@ -108,19 +128,9 @@ impl VolumeWriter {
     pub fn create(path: &Path, spec: &VolumeSpec, budget: &Budget) -> Result<Self> {
         spec.validate().map_err(|e| e.context(path.display()))?;
         let (file, aside) = create_aside(path)?;
-        let storage = FileStorage(file);
-        match storage.lock() {
-            Ok(true) => {}
-            Ok(false) => {
-                return Err(Error::new(
-                    ErrorKind::ForeignWriter,
-                    format!("{}: locked by another writer", aside.path.display()),
-                ));
-            }
-            // Some network file systems have no locks; the fence of the commit remains.
-            Err(_) => {}
-        }
-        Self::start(Arc::new(storage), path, spec, budget, Some(aside))
+        let storage = Arc::new(FileStorage(file));
+        take_lock(storage.as_ref(), aside.path())?;
+        Self::start(storage, path, spec, budget, Some(aside))
     }
 
     /// Starts a volume in empty `storage`; `name` is for messages.
@@ -134,45 +144,192 @@ impl VolumeWriter {
         budget: &Budget,
     ) -> Result<Self> {
         spec.validate().map_err(|e| e.context(name.display()))?;
+        take_lock(storage.as_ref(), name)?;
         Self::start(storage, name, spec, budget, None)
     }
 
-    fn start(
+    /// Opens the file at `path` for changes. One writer at a time: it holds an advisory lock, and
+    /// where a file system has no locks a commit notices the commit of another writer.
+    ///
+    /// # Errors
+    /// As [`Volume::open`](super::Volume::open); `ForeignWriter` while another writer has the file;
+    /// `Newer` for a file that this version may only read.
+    pub fn open(path: &Path, budget: &Budget) -> Result<Self> {
+        let file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .open(path)
+            .map_err(|e| Error::io(path, "opening the volume for writing", e))?;
+        Self::open_in(Arc::new(FileStorage(file)), path, budget)
+    }
+
+    /// Opens the file in `storage` for changes; `name` is for messages.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_in(storage: Arc<dyn Storage>, name: &Path, budget: &Budget) -> Result<Self> {
+        take_lock(storage.as_ref(), name)?;
+        let random = RandomState::new().build_hasher().finish();
+        let mut writer = Self::resume(storage, name, name, true, budget)?;
+        writer.writer = random | 1;
+        if writer.parts[0].mark().0 != 0 {
+            return Err(Error::bad_input(format!(
+                "{}: an import that was not finished: resume it, or import again",
+                name.display()
+            )));
+        }
+        Ok(writer)
+    }
+
+    pub(super) fn start(
         storage: Arc<dyn Storage>,
         path: &Path,
         spec: &VolumeSpec,
         budget: &Budget,
         aside: Option<Aside>,
     ) -> Result<Self> {
-        let place = aside.as_ref().map_or(path, |a| &a.path).to_path_buf();
-        let rules = rules_of(spec);
-        let log = Log::create(storage, place, &file_id(spec))?;
+        let place = aside.as_ref().map_or(path, |a| a.path()).to_path_buf();
+        let id = file_id(spec);
+        let log = Log::create(storage.clone(), place.clone(), &id)?;
+        let file = Opened {
+            storage,
+            path: place,
+            seed: seed_of(&id),
+            root: Superblock {
+                log_end: LOG_START,
+                ..Superblock::default()
+            },
+            length: 0,
+            is_published: true,
+            ro_compat: 0,
+            notes: Vec::new(),
+        };
         Ok(Self {
             log,
-            tree: Mutex::new(Tree::new(rules, spec.root_level(), budget)?),
-            counts: Mutex::default(),
-            spec: spec.clone(),
-            background: rules.background,
+            parts: vec![Part::new(spec, false, budget)?],
+            saved: Mutex::new(Saved {
+                file,
+                parts: Vec::new(),
+            }),
+            gate: RwLock::default(),
+            replace: false,
+            // Nobody else knows a file that has no name yet.
+            writer: 0,
+            sealed: false,
             path: path.to_path_buf(),
             aside,
             budget: budget.clone(),
-            encoders: Mutex::default(),
         })
     }
 
-    /// Bricks per axis; brick `[0, 0, 0]` starts at the smallest point of the domain.
+    /// Goes on with the file in `storage`, which is at `place` and will be at `path`.
+    pub(super) fn resume(
+        storage: Arc<dyn Storage>,
+        place: &Path,
+        path: &Path,
+        replace: bool,
+        budget: &Budget,
+    ) -> Result<Self> {
+        let file = Opened::open(storage, place)?;
+        if file.ro_compat & !KNOWN_RO_COMPAT != 0 {
+            return Err(file.error(
+                ErrorKind::Newer,
+                format!(
+                    "feature bit {} of a later version: this program may read the file, not change it",
+                    (file.ro_compat & !KNOWN_RO_COMPAT).trailing_zeros()
+                ),
+            ));
+        }
+        let mut parts = Vec::new();
+        let mut saved = Vec::new();
+        for Contents {
+            spec,
+            range,
+            counts,
+            entry,
+        } in file.all_contents()?
+        {
+            parts.push(Part {
+                lod: entry.lod,
+                parent: entry.parent,
+                mark: Mutex::new((counts.slabs, counts.source_crc)),
+                ..Part::new(&spec, replace, budget)?
+            });
+            saved.push(SavedPart {
+                entry,
+                range,
+                counts,
+            });
+        }
+        Ok(Self {
+            log: Log::open(&file)?,
+            parts,
+            saved: Mutex::new(Saved { file, parts: saved }),
+            gate: RwLock::default(),
+            replace,
+            writer: 0,
+            sealed: false,
+            path: path.to_path_buf(),
+            aside: None,
+            budget: budget.clone(),
+        })
+    }
+
+    /// Adds another volume to the file and gives its number for
+    /// [`put_brick_in`](Self::put_brick_in). It is there from the next commit on.
+    ///
+    /// # Errors
+    /// A spec that does not hold, a name that another volume of the file has, too many volumes.
+    pub fn add_volume(&mut self, spec: &VolumeSpec) -> Result<usize> {
+        spec.validate()
+            .map_err(|e| e.context(self.path.display()))?;
+        if self
+            .parts
+            .iter()
+            .any(|p| p.lod == 0 && p.spec.name == spec.name)
+        {
+            return Err(Error::bad_input(format!(
+                "{}: there is a volume named {:?} already",
+                self.path.display(),
+                spec.name
+            )));
+        }
+        self.add_part(Part::new(spec, self.replace, &self.budget)?)
+    }
+
+    pub(super) fn add_part(&mut self, part: Part) -> Result<usize> {
+        if self.parts.len() >= usize::from(MAX_VOLUMES) {
+            return Err(Error::new(
+                ErrorKind::LimitExceeded,
+                format!("{}: at most {MAX_VOLUMES} volumes", self.path.display()),
+            ));
+        }
+        self.parts.push(part);
+        Ok(self.parts.len() - 1)
+    }
+
+    /// Bricks per axis of the first volume; brick `[0, 0, 0]` starts at the smallest point of the
+    /// domain.
     pub fn bricks(&self) -> [u32; 3] {
-        self.spec.bricks()
+        self.parts[0].rules.bricks
     }
 
-    /// What is being written.
+    /// What the first volume is.
     pub fn spec(&self) -> &VolumeSpec {
-        &self.spec
+        &self.parts[0].spec
     }
 
-    /// Puts a brick: `edge^3` raw little-endian samples, `i` fastest (a bit takes one byte). Samples
-    /// beyond the domain are ignored. Any order, any thread; each brick once. A brick of one value
-    /// becomes a tile, one of the background is not stored.
+    /// What each volume of the file is, in the order of their numbers.
+    pub fn specs(&self) -> impl Iterator<Item = &VolumeSpec> {
+        self.parts.iter().map(|p| &p.spec)
+    }
+
+    /// Puts a brick of the first volume: `edge^3` raw little-endian samples, `i` fastest (a bit
+    /// takes one byte). Samples beyond the domain are ignored. Any order, any thread. A brick of one
+    /// value becomes a tile, one of the background is not stored.
+    ///
+    /// In a new file each brick may be put once between commits; in a file that was opened a brick
+    /// replaces what is there.
     ///
     /// The offsets of bricks in the file follow the order of the calls; for bytes that do not depend
     /// on threads put them from one thread, or use [`write_field`](super::write_field).
@@ -180,16 +337,27 @@ impl VolumeWriter {
     /// # Errors
     /// A brick outside of the lattice, put twice, or of the wrong length; a write that fails.
     pub fn put_brick(&self, brick: [u32; 3], raw: &[u8]) -> Result<()> {
-        let edge = self.spec.brick_edge as usize;
-        let length = edge.pow(3) * self.spec.sample.bytes();
+        self.put_brick_in(0, brick, raw)
+    }
+
+    /// [`put_brick`](Self::put_brick) into the volume of this number.
+    ///
+    /// # Errors
+    /// As [`put_brick`](Self::put_brick), or no such volume.
+    pub fn put_brick_in(&self, volume: usize, brick: [u32; 3], raw: &[u8]) -> Result<()> {
+        let _shared = self.gate.read().unwrap_or_else(PoisonError::into_inner);
+        let part = self.part(volume)?;
+        let edge = part.spec.brick_edge as usize;
+        let length = edge.pow(3) * part.spec.sample.bytes();
         if raw.len() != length {
             return Err(Error::bad_input(format!(
                 "brick {brick:?} of {} bytes instead of {length}",
                 raw.len()
             )));
         }
-        self.check_inside(brick)?;
-        let mut encoder = self.take_encoder()?;
+        part.check_inside(brick)?;
+        self.log.check()?;
+        let mut encoder = self.take_encoder(volume)?;
         encoder.batch.clear();
         encoder.encode(self, brick, raw);
         let result = self.append(&encoder.batch);
@@ -197,92 +365,95 @@ impl VolumeWriter {
         result
     }
 
-    /// Makes a cube of `2^level` bricks per axis from brick `node_min` constant. The part of the
-    /// cube outside of the domain is ignored.
+    /// Makes a cube of `2^level` bricks per axis from brick `node_min` of the first volume constant.
+    /// The part of the cube outside of the domain is ignored.
     ///
     /// # Errors
     /// A cube that does not lie on its own lattice, a value that the sample type cannot hold, or
     /// bricks put twice.
     pub fn put_constant(&self, node_min: [u32; 3], level: u8, value: f64) -> Result<()> {
-        let bits = exact_bits_of(self.spec.sample, value, "the constant")?;
-        self.put_constant_bits(node_min, level, bits)
+        self.put_constant_in(0, node_min, level, value)
     }
 
-    pub(crate) fn put_constant_bits(&self, node_min: [u32; 3], level: u8, bits: u32) -> Result<()> {
-        self.check_inside(node_min)?;
-        let most = 3 * self.spec.root_level();
+    /// [`put_constant`](Self::put_constant) into the volume of this number.
+    ///
+    /// # Errors
+    /// As [`put_constant`](Self::put_constant), or no such volume.
+    pub fn put_constant_in(
+        &self,
+        volume: usize,
+        node_min: [u32; 3],
+        level: u8,
+        value: f64,
+    ) -> Result<()> {
+        let _shared = self.gate.read().unwrap_or_else(PoisonError::into_inner);
+        let sample = self.part(volume)?.spec.sample;
+        self.log.check()?;
+        let bits = exact_bits_of(sample, value, "the constant")?;
+        self.put_constant_bits(volume, node_min, level, bits)
+    }
+
+    pub(crate) fn put_constant_bits(
+        &self,
+        volume: usize,
+        node_min: [u32; 3],
+        level: u8,
+        bits: u32,
+    ) -> Result<()> {
+        let part = self.part(volume)?;
+        part.check_inside(node_min)?;
+        let most = 3 * part.spec.root_level();
         if level > most || node_min.iter().any(|&b| b & ((1u32 << level) - 1) != 0) {
             return Err(Error::bad_input(format!(
                 "a cube of level {level} at brick {node_min:?}: it must start at a multiple of its edge, and level {most} is the highest"
             )));
         }
-        if bits == self.background {
-            return Ok(());
-        }
-        self.tree().put_tile(node_min, level, bits)
+        part.tree().put_constant(node_min, level, bits)
     }
 
-    fn check_inside(&self, brick: [u32; 3]) -> Result<()> {
-        let bricks = self.bricks();
-        if (0..3).any(|a| brick[a] >= bricks[a]) {
-            return Err(Error::bad_input(format!(
-                "brick {brick:?} is outside of the lattice of {bricks:?} bricks"
-            )));
-        }
-        Ok(())
+    fn part(&self, volume: usize) -> Result<&Part> {
+        self.parts.get(volume).ok_or_else(|| {
+            Error::bad_input(format!(
+                "{}: volume number {volume} of {}",
+                self.path.display(),
+                self.parts.len()
+            ))
+        })
     }
 
-    fn tree(&self) -> std::sync::MutexGuard<'_, Tree> {
-        self.tree.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    pub(crate) fn take_encoder(&self) -> Result<BrickEncoder> {
-        let free = self
+    pub(crate) fn take_encoder(&self, volume: usize) -> Result<BrickEncoder> {
+        let free = self.parts[volume]
             .encoders
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
             .pop();
-        free.map_or_else(|| self.new_encoder(1), Ok)
+        free.map_or_else(|| self.new_encoder(volume, 1), Ok)
     }
 
     pub(crate) fn give_back(&self, encoder: BrickEncoder) {
-        self.encoders
+        self.parts[encoder.batch.volume]
+            .encoders
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
             .push(encoder);
     }
 
     /// Bytes that [`new_encoder`](Self::new_encoder) takes from the budget.
-    pub(crate) fn encoder_charge(&self, bricks: u64) -> u64 {
-        let (sample, edge) = (self.spec.sample, self.spec.brick_edge);
+    pub(crate) fn encoder_charge(&self, volume: usize, bricks: u64) -> u64 {
+        let part = &self.parts[volume];
+        let (sample, edge) = (part.spec.sample, part.spec.brick_edge);
         let raw = u64::from(edge).pow(3) * sample.bytes() as u64;
-        encoder_bytes(sample, edge) + 2 * raw + self.batch_bytes(bricks)
+        encoder_bytes(sample, edge) + 2 * raw + part.batch_bytes(bricks)
     }
 
-    fn batch_bytes(&self, bricks: u64) -> u64 {
-        bricks * record_bytes(brick_bytes(self.spec.sample, self.spec.brick_edge) as u32) + 64
-    }
-
-    pub(crate) fn background_bits(&self) -> u32 {
-        self.background
-    }
-
-    /// Buffers for batches of `bricks` bricks.
-    pub(crate) fn new_encoder(&self, bricks: u64) -> Result<BrickEncoder> {
+    /// Buffers for batches of `bricks` bricks of a volume.
+    pub(crate) fn new_encoder(&self, volume: usize, bricks: u64) -> Result<BrickEncoder> {
         let permit = self
             .budget
-            .take(self.encoder_charge(bricks), "compressing bricks")?;
-        let mut encoder = BrickEncoder {
-            encoder: Encoder::default(),
-            padded: Vec::new(),
-            packed: Vec::new(),
-            batch: Batch::default(),
-            _permit: permit,
-        };
-        encoder
-            .batch
-            .bytes
-            .reserve_exact(self.batch_bytes(bricks) as usize);
+            .take(self.encoder_charge(volume, bricks), "compressing bricks")?;
+        let mut encoder = BrickEncoder::new(volume, permit);
+        let bytes = self.parts[volume].batch_bytes(bricks) as usize;
+        encoder.batch.bytes.reserve_exact(bytes);
         Ok(encoder)
     }
 
@@ -305,6 +476,9 @@ impl VolumeWriter {
                 }
             })
             .collect();
+        if refs.is_empty() {
+            return Ok(0);
+        }
         self.log.reserve(&batch.bytes, &refs)
     }
 
@@ -313,98 +487,92 @@ impl VolumeWriter {
         if !batch.bytes.is_empty() {
             self.log.write_reserved(&batch.bytes, offset)?;
         }
-        let (mut bricks, mut stored) = (0, 0);
-        let mut tree = self.tree();
+        let part = &self.parts[batch.volume];
+        let mut tree = part.tree();
         for &(brick, ref encoded) in &batch.bricks {
             match *encoded {
-                Encoded::Background => {}
-                Encoded::Tile(bits) => tree.put_tile(brick, 0, bits)?,
+                Encoded::Constant(bits) => tree.put_constant(brick, 0, bits)?,
                 Encoded::Brick(mut reference, range) => {
                     reference.offset += offset;
                     tree.put_child(brick, reference, range)?;
-                    bricks += 1;
-                    stored += u64::from(reference.length);
                 }
             }
         }
-        drop(tree);
-        let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
-        counts.bricks += bricks;
-        counts.stored += stored;
         Ok(())
     }
 
-    /// Commits, syncs and renames to the final name.
+    /// Makes everything put so far part of the file and gives the generation. When it returns, the
+    /// data would survive a kill and a loss of power. With nothing new it gives the last generation.
     ///
     /// # Errors
-    /// A write, sync or rename that fails; nothing is then under the final name.
+    /// A failed write, of this call or of a put before it: the commit is given up, the file stays at
+    /// its last generation, and what was put must be put again; the writer may go on. `ForeignWriter`
+    /// when another writer has changed the file, `Poisoned` after a failed sync: from then on every
+    /// call fails, and the file must be opened again.
+    pub fn commit(&self) -> Result<u64> {
+        self.publish(self.writer)
+    }
+
+    /// Commits, and gives a new file its final name.
+    ///
+    /// # Errors
+    /// As [`commit`](Self::commit), or a rename that fails; a new file is then not there.
     pub fn finish(mut self) -> Result<VolumeInfo> {
-        let aside = self.aside.take();
-        let place = aside.as_ref().map_or(&self.path, |a| &a.path).clone();
-        let mut counts = *self.counts.lock().unwrap_or_else(PoisonError::into_inner);
-        let generation = self.log.generation;
-        let rules = rules_of(&self.spec);
-        let tree = std::mem::replace(&mut *self.tree(), Tree::new(rules, 0, &self.budget)?);
-        let mut index = [u64::MAX, 0];
-        let done = tree.finish(generation, |head, record| {
-            let reference = self.log.append(head, record)?;
-            let end = reference.offset + super::layout::record_bytes(reference.length);
-            index = [index[0].min(reference.offset), end];
-            Ok(reference)
-        })?;
-        let index = if done.pages == 0 {
-            [0, 0]
-        } else {
-            [index[0], index[1] - index[0]]
-        };
-        (counts.tiles, counts.tile_bricks, counts.pages) =
-            (done.tiles, done.tile_bricks, done.pages);
-        let append = |kind: RecordKind, payload: Vec<u8>| {
-            let mut record = vec![0; RECORD_HEADER];
-            record.extend(payload);
-            self.log.append(&Head::new(kind, generation), record)
-        };
-        let history = match self.spec.history.as_str() {
-            "" => Ref::default(),
-            text => append(RecordKind::History, meta::encode(text)?)?,
-        };
-        let attributes = append(
-            RecordKind::Attributes,
-            encode_attributes(&self.spec, done.range, &counts),
-        )?;
-        let entry = Entry {
-            attributes,
-            history,
-            root: done.root,
-            root_level: if done.root.is_none() {
-                0
-            } else {
-                self.spec.root_level()
-            },
-            name: self.spec.name.clone(),
-        };
-        let catalog = append(RecordKind::Catalog, encode_catalog(&entry))?;
-        let root = self.log.commit(catalog, index)?;
-        if let Some(mut aside) = aside {
-            std::fs::rename(&aside.path, &self.path).map_err(|e| {
-                Error::io(&self.path, &format!("renaming {}", aside.path.display()), e)
-            })?;
-            aside.renamed = true;
-            sync_folder_of(&self.path)?;
+        self.publish(if self.replace { self.writer } else { 0 })?;
+        if let Some(aside) = self.aside.take() {
+            aside.rename(&self.path)?;
         }
+        self.info()
+    }
+
+    /// The same, for a file that has a temporary name.
+    pub(super) fn with_aside(mut self, aside: Aside) -> Self {
+        self.aside = Some(aside);
+        self
+    }
+
+    /// Slabs that a running import has committed.
+    pub(super) fn committed_slabs(&self) -> u32 {
+        let saved = self.saved.lock().unwrap_or_else(PoisonError::into_inner);
+        saved.parts.first().map_or(0, |p| p.counts.slabs)
+    }
+
+    /// Leaves an unfinished new file under its temporary name.
+    pub(super) fn keep(mut self) {
+        if let Some(aside) = self.aside.take() {
+            aside.keep();
+        }
+    }
+
+    /// What the last commit has of the first volume.
+    pub(super) fn info(&self) -> Result<VolumeInfo> {
+        let saved = self.saved.lock().unwrap_or_else(PoisonError::into_inner);
         let length = self
             .log
             .storage
             .len()
-            .map_err(|e| Error::io(&place, "asking for the length", e))?;
+            .map_err(|e| Error::io(&self.path, "asking for the length", e))?;
+        let part = &saved.parts[0];
         Ok(info_of(
-            &self.spec,
-            done.range,
-            &counts,
-            entry.root_level,
-            &root,
+            &self.parts[0].spec,
+            part.range,
+            &part.counts,
+            part.entry.root_level,
+            &saved.file.root,
             length,
         ))
+    }
+}
+
+pub(super) fn take_lock(storage: &dyn Storage, path: &Path) -> Result<()> {
+    match storage.lock() {
+        Ok(true) => Ok(()),
+        Ok(false) => Err(Error::new(
+            ErrorKind::ForeignWriter,
+            format!("{}: locked by another writer", path.display()),
+        )),
+        // Some network file systems have no locks; the fence of the commit remains.
+        Err(_) => Ok(()),
     }
 }
 
@@ -423,7 +591,7 @@ pub(crate) fn info_of(
     range: KeyRange,
     counts: &Counts,
     page_levels: u8,
-    root: &super::record::Superblock,
+    root: &Superblock,
     length: u64,
 ) -> VolumeInfo {
     let samples = spec.grid.domain.count();
@@ -452,105 +620,9 @@ pub(crate) fn info_of(
         bytes_dead: root.garbage,
         bytes_file: length,
         compression: bytes_raw as f64 / length.max(1) as f64,
-    }
-}
-
-impl BrickEncoder {
-    /// Appends the brick of whole `raw` samples to the batch.
-    pub(crate) fn encode(&mut self, writer: &VolumeWriter, brick: [u32; 3], raw: &[u8]) {
-        let spec = &writer.spec;
-        let inside = spec.brick_box(brick).size();
-        let edge = spec.brick_edge as usize;
-        let raw = if inside == [spec.brick_edge; 3] {
-            raw
-        } else {
-            self.padded.clear();
-            self.padded.extend_from_slice(raw);
-            pad(
-                &mut self.padded,
-                edge,
-                spec.sample.bytes(),
-                inside.map(|n| n as usize),
-            );
-            &self.padded
-        };
-        let (range, constant) = scan_bits(spec.sample, raw);
-        if constant {
-            let bits = match spec.sample {
-                SampleType::Bit => u32::from(raw[0] != 0),
-                sample => bits_of_raw(sample, raw),
-            };
-            let encoded = if bits == writer.background {
-                Encoded::Background
-            } else {
-                Encoded::Tile(bits)
-            };
-            self.batch.bricks.push((brick, encoded));
-            return;
-        }
-        let bytes = if spec.sample == SampleType::Bit {
-            self.packed.resize(raw.len() / 8, 0);
-            pack_bits(raw, &mut self.packed);
-            &self.packed
-        } else {
-            raw
-        };
-        let out = &mut self.batch.bytes;
-        let start = out.len();
-        out.resize(start + RECORD_HEADER, 0);
-        let codec = self
-            .encoder
-            .encode(spec.sample, spec.brick_edge, bytes, out);
-        let head = Head {
-            codec,
-            decoded: bytes.len() as u32,
-            key: morton_encode(brick),
-            ..Head::new(RecordKind::Brick, writer.log.generation)
-        };
-        let reference = seal(out, start, &head, writer.log.seed);
-        self.batch
-            .bricks
-            .push((brick, Encoded::Brick(reference, range)));
-    }
-}
-
-/// [`scan`], where any byte but 0 is a set bit.
-fn scan_bits(sample: SampleType, raw: &[u8]) -> (KeyRange, bool) {
-    if sample != SampleType::Bit {
-        return scan(sample, raw);
-    }
-    let (any, all) = (raw.iter().any(|&b| b != 0), raw.iter().all(|&b| b != 0));
-    (
-        KeyRange {
-            low: all.into(),
-            high: any.into(),
-            has_nan: false,
-        },
-        any == all,
-    )
-}
-
-/// Repeats the last sample inside along each axis, so that ranges stay tight.
-fn pad(raw: &mut [u8], edge: usize, width: usize, inside: [usize; 3]) {
-    let [nx, ny, nz] = inside;
-    let (row, slice) = (edge * width, edge * edge * width);
-    for k in 0..nz {
-        for j in 0..ny {
-            let line = &mut raw[k * slice + j * row..][..row];
-            let (kept, rest) = line.split_at_mut(nx * width);
-            for sample in rest.chunks_mut(width) {
-                sample.copy_from_slice(&kept[(nx - 1) * width..]);
-            }
-        }
-        for j in ny..edge {
-            raw.copy_within(
-                k * slice + (ny - 1) * row..k * slice + ny * row,
-                k * slice + j * row,
-            );
-        }
-    }
-    for k in nz..edge {
-        raw.copy_within((nz - 1) * slice..nz * slice, k * slice);
+        generation: root.generation,
+        sealed: root.sealed,
+        unfinished_slabs: (counts.slabs != 0).then_some(counts.slabs),
     }
 }
 
@@ -570,57 +642,4 @@ fn file_id(spec: &VolumeSpec) -> [u8; FILE_ID_BYTES] {
     id[..8].copy_from_slice(&low.to_le_bytes());
     id[8..].copy_from_slice(&hash(low ^ 0x9e37_79b9_7f4a_7c15).to_le_bytes());
     id
-}
-
-pub(crate) fn create_aside(path: &Path) -> Result<(File, Aside)> {
-    let name = path
-        .file_name()
-        .ok_or_else(|| Error::bad_input(format!("{}: not the name of a file", path.display())))?;
-    for attempt in 0..1000u32 {
-        let mut aside = name.to_os_string();
-        aside.push(format!(".tmp-{}-{attempt}", std::process::id()));
-        let aside = path.with_file_name(aside);
-        match OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create_new(true)
-            .open(&aside)
-        {
-            Ok(file) => {
-                return Ok((
-                    file,
-                    Aside {
-                        path: aside,
-                        renamed: false,
-                    },
-                ));
-            }
-            Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {}
-            Err(e) => return Err(Error::io(&aside, "creating the file", e)),
-        }
-    }
-    Err(Error::new(
-        ErrorKind::Io,
-        format!(
-            "{}: a thousand temporary files are left over: remove them",
-            path.display()
-        ),
-    ))
-}
-
-/// Makes the rename survive a loss of power.
-fn sync_folder_of(path: &Path) -> Result<()> {
-    #[cfg(unix)]
-    {
-        let folder = path
-            .parent()
-            .filter(|p| !p.as_os_str().is_empty())
-            .unwrap_or(Path::new("."));
-        File::open(folder)
-            .and_then(|f| f.sync_all())
-            .map_err(|e| Error::io(folder, "syncing the folder", e))?;
-    }
-    #[cfg(not(unix))]
-    let _ = path;
-    Ok(())
 }
