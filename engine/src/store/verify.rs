@@ -165,7 +165,7 @@ pub fn verify_in(storage: Arc<dyn Storage>, name: &Path, budget: &Budget) -> Res
         all: 0,
         search_bytes: file.length.saturating_mul(SEARCH_TIMES),
     };
-    log.walk(&reached.sorted())?;
+    log.walk(reached.sorted())?;
     live += log.always_live;
     let dead = log.all.saturating_sub(live);
     let said = (file.root.live, file.root.garbage);
