@@ -1,10 +1,5 @@
 //! A small u8 volume written with [`Image`], piece by piece from `docs/format.md`, with a place to
 //! interfere at each piece.
-#![allow(
-    dead_code,
-    reason = "more of the format can be built than today's cases use"
-)]
-
 use super::image::{Image, Record, Ref, kind, put};
 
 /// Samples per brick edge.

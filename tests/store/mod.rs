@@ -1,9 +1,12 @@
-//! The file format from outside: damage of every byte, and files of every version.
+//! The file format from outside: damage of every byte, hostile files, files of every
+//! version, and an independent reader.
 
 mod damage;
 mod golden;
 mod handmade;
+mod hostile;
 mod image;
+mod reader;
 mod small;
 
 use brickmarch::store::{MemoryStorage, Volume};
