@@ -316,7 +316,6 @@ const DAMAGED: Option<ErrorKind> = Some(ErrorKind::Damaged);
 const NEWER: Option<ErrorKind> = Some(ErrorKind::Newer);
 const CUT: Option<ErrorKind> = Some(ErrorKind::Truncated);
 const OTHER: Option<ErrorKind> = Some(ErrorKind::NotAVolume);
-const UNSUPPORTED: Option<ErrorKind> = Some(ErrorKind::Unsupported);
 
 const NAN: [u8; 8] = f64::NAN.to_le_bytes();
 const INFINITY: [u8; 8] = f64::INFINITY.to_le_bytes();
@@ -400,9 +399,9 @@ hostile! {
 
     // Catalog.
     catalog_of_a_later_version: ROOT, "version", in_catalog(0, &[2]);
-    catalog_without_volumes: UNSUPPORTED, "0 volumes", catalog_of(0);
-    catalog_of_two_volumes: UNSUPPORTED, "2 volumes", catalog_of(2);
-    catalog_of_4096_volumes: UNSUPPORTED, "4096 volumes", catalog_of(4096);
+    catalog_without_volumes: ROOT, "names no volume", catalog_of(0);
+    catalog_of_two_volumes_without_attributes: ROOT, "attributes of volume 0", catalog_of(2);
+    catalog_of_4096_volumes_without_attributes: ROOT, "attributes of volume 0", catalog_of(4096);
     catalog_of_5000_volumes: ROOT, "5000 volumes", catalog_of(5000);
     catalog_counts_more_than_it_has: ROOT, "2 volumes", in_catalog(2, &[2]);
     catalog_counts_65535: ROOT, "65535 volumes", in_catalog(2, &[255, 255]);
@@ -506,7 +505,7 @@ hostile! {
     page_of_another_place: ROOT, "[8, 0, 0]", root_page(8, &[8]);
     page_record_of_another_level: ROOT, "another place", record(Plan::SMALL, kind::PAGE, 0, 34, &[2]);
     page_record_of_another_key: ROOT, "another place", record(Plan::SMALL, kind::PAGE, 0, 24, &[1]);
-    page_record_of_another_volume: ROOT, "another volume", record(Plan::SMALL, kind::PAGE, 0, 32, &[1]);
+    page_record_of_another_volume: ROOT, "belongs to volume 1", record(Plan::SMALL, kind::PAGE, 0, 32, &[1]);
     page_too_short: ROOT, "page of 100 bytes", with(|piece| {
         if let Piece::Page(1, record, _) = piece { record.payload.truncate(100); }
     });
@@ -601,11 +600,11 @@ hostile! {
     // Bricks.
     brick_record_of_another_key: DAMAGED, "another place", brick(|r| r.key = morton([2, 1, 1]));
     brick_record_of_a_level: DAMAGED, "another place", brick(|r| r.level = 1);
-    brick_record_of_another_volume: DAMAGED, "another volume", brick(|r| r.volume = 1);
+    brick_record_of_another_volume: DAMAGED, "belongs to volume 1", brick(|r| r.volume = 1);
     brick_record_of_another_kind: DAMAGED, "of kind 7", brick(|r| r.kind = kind::HISTORY);
     brick_record_of_an_unknown_kind: DAMAGED, "of kind 99", brick(|r| r.kind = 99);
     brick_record_of_the_future: DAMAGED, "generation 9", record(Plan::SMALL, kind::BRICK, 1, 16, &[9]);
-    brick_record_reserved_byte: DAMAGED, "another volume", record(Plan::SMALL, kind::BRICK, 1, 35, &[1]);
+    brick_record_reserved_byte: DAMAGED, "reserved byte", record(Plan::SMALL, kind::BRICK, 1, 35, &[1]);
     brick_record_without_magic: DAMAGED, "no record", {
         let mut bytes = Plan::SMALL.file(&|_| {});
         let at = image::of_kind(&bytes, kind::BRICK)[1].at;
