@@ -116,3 +116,80 @@ fn info_verify_check_and_slice_say_what_is_there() {
     ok(&scratch, "slice @a.bvol @s.png -q");
     assert_eq!(&bytes(&scratch.path("s.png"))[..8], b"\x89PNG\r\n\x1a\n");
 }
+
+#[test]
+fn levels_and_compaction() {
+    let scratch = scratch_with_raw("levels");
+    let halved: Vec<f32> = {
+        let values = samples();
+        let at = |p: [usize; 3]| f64::from(values[p[0] + 30 * (p[1] + 21 * p[2])]);
+        let mut out = Vec::new();
+        for [k, j, i] in (0..13 * 11 * 15).map(|n| [2 * (n / 165), 2 * (n / 15 % 11), 2 * (n % 15)])
+        {
+            let (mut sum, mut count) = (0.0, 0.0);
+            for (x, y, z) in (0..8).map(|c| (i + (c & 1), j + (c >> 1 & 1), k + (c >> 2))) {
+                if x < 30 && y < 21 && z < 26 {
+                    sum += at([x, y, z]);
+                    count += 1.0;
+                }
+            }
+            out.push((sum / count) as f32);
+        }
+        out
+    };
+    ok(
+        &scratch,
+        &format!("import @field.raw @a.bvol --levels 9 --brick 8 {RAW}"),
+    );
+    let info = ok(&scratch, "info @a.bvol --json").json();
+    // 30 samples are two bricks of edge 8 after one halving, one after two.
+    assert_eq!(info["levels"], 2, "{info}");
+    ok(&scratch, "compact @a.bvol @b.bvol -q");
+    let info = ok(&scratch, "info @b.bvol --json").json();
+    assert_eq!(info["sealed"], true, "{info}");
+    assert_eq!(info["volume"]["bytes_dead"], 0, "{info}");
+    for name in ["a", "b"] {
+        ok(&scratch, &format!("verify @{name}.bvol -q"));
+        ok(
+            &scratch,
+            &format!("export @{name}.bvol @{name}.raw --level 1 -q"),
+        );
+        assert!(bytes(&scratch.path(&format!("{name}.raw"))) == f32_bytes(&halved));
+    }
+    let refused = brickmarch(words(&scratch, "export @a.bvol @c.raw --level 3"));
+    assert_eq!(refused.code, Some(1), "{refused:#?}");
+    assert!(refused.stderr.contains("level"), "{refused:#?}");
+    let itself = brickmarch(words(&scratch, "compact @a.bvol @a.bvol"));
+    assert_eq!(itself.code, Some(1), "{itself:#?}");
+    ok(&scratch, "compact @a.bvol @a.bvol --overwrite -q");
+    assert!(bytes(&scratch.path("a.bvol")) == bytes(&scratch.path("b.bvol")));
+}
+
+#[test]
+fn damage_is_an_error_unless_a_substitute_is_asked_for() {
+    let scratch = scratch_with_raw("substitute");
+    ok(
+        &scratch,
+        &format!("import @field.raw @a.bvol --brick 8 {RAW}"),
+    );
+    let mut file = bytes(&scratch.path("a.bvol"));
+    let middle = file.len() / 2;
+    file[middle] ^= 1;
+    scratch.write("bad.bvol", file);
+    let refused = brickmarch(words(&scratch, "export @bad.bvol @bad.raw -q"));
+    assert_eq!(refused.code, Some(1), "{refused:#?}");
+    assert!(!scratch.path("bad.raw").exists());
+    let told = brickmarch(words(
+        &scratch,
+        "export @bad.bvol @bad.raw --on-damage substitute",
+    ));
+    assert_eq!(told.code, Some(3), "{told:#?}");
+    assert!(told.stderr.contains("substituted"), "{told:#?}");
+    let (bad, good) = (bytes(&scratch.path("bad.raw")), f32_bytes(&samples()));
+    let differ = bad
+        .chunks(4)
+        .zip(good.chunks(4))
+        .filter(|(a, b)| a != b)
+        .count();
+    assert!((1..=512).contains(&differ), "{differ} samples differ");
+}

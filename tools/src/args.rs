@@ -33,6 +33,8 @@ pub(crate) enum Command {
     Info(Info),
     /// Read every byte of a volume file and check every checksum and rule
     Verify(Verify),
+    /// Copy a volume file without dead bytes and older commits, bricks in Morton order
+    Compact(Compact),
     /// Extract the isosurface of a volume as a closed triangle mesh (.ply, .stl, .obj)
     Mesh(Mesh),
     /// Check a mesh: closed, 2-manifold, oriented, components, genus, area, volume
@@ -96,6 +98,29 @@ pub(crate) struct Region {
     pub roi_world: Option<[[f64; 2]; 3]>,
 }
 
+/// Which volume of a file, and how it is read.
+#[derive(Args, Debug, Clone)]
+#[command(next_help_heading = "Volume")]
+pub(crate) struct Pick {
+    /// Which volume of the file, by name [default: the first]
+    #[arg(long, value_name = "NAME")]
+    pub name: Option<String>,
+    /// Level of detail: 0 is the volume itself, each further one has half as many samples per axis
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub level: u8,
+    /// What to do where the file is damaged
+    #[arg(long, value_enum, default_value_t = DamageMode::Error)]
+    pub on_damage: DamageMode,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum DamageMode {
+    /// Stop with an error that names the place
+    Error,
+    /// Go on with the background, or the nearest value the index allows, and report what was lost
+    Substitute,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ProgressMode {
     Auto,
@@ -140,6 +165,12 @@ pub(crate) struct Import {
     /// Value of the space that holds nothing
     #[arg(long, value_name = "V", allow_hyphen_values = true, value_parser = parse::finite)]
     pub background: Option<f64>,
+    /// Build up to this many coarser levels of detail
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub levels: u8,
+    /// Go on with an import that was stopped, where OUT.partial keeps one
+    #[arg(long)]
+    pub resume: bool,
     #[command(flatten)]
     pub raw: RawSource,
     #[command(flatten)]
@@ -189,6 +220,8 @@ pub(crate) struct Export {
     #[arg(long)]
     pub gzip: bool,
     #[command(flatten)]
+    pub pick: Pick,
+    #[command(flatten)]
     pub region: Region,
     #[command(flatten)]
     pub overwrite: Overwrite,
@@ -202,6 +235,9 @@ pub(crate) struct Export {
 pub(crate) struct Info {
     /// Volume file
     pub volume: PathBuf,
+    /// Which volume of the file, by name [default: the first]
+    #[arg(long, value_name = "NAME")]
+    pub name: Option<String>,
     #[command(flatten)]
     pub limits: Limits,
     #[command(flatten)]
@@ -212,6 +248,20 @@ pub(crate) struct Info {
 pub(crate) struct Verify {
     /// Volume file
     pub volume: PathBuf,
+    #[command(flatten)]
+    pub limits: Limits,
+    #[command(flatten)]
+    pub say: Say,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Compact {
+    /// Volume file
+    pub volume: PathBuf,
+    /// File to write; may be the volume file itself, with --overwrite
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     #[command(flatten)]
     pub limits: Limits,
     #[command(flatten)]
@@ -231,6 +281,8 @@ pub(crate) struct Mesh {
     /// The surface of this segment of a label volume
     #[arg(long, value_name = "ID", conflicts_with = "iso")]
     pub label: Option<u32>,
+    #[command(flatten)]
+    pub pick: Pick,
     #[command(flatten)]
     pub region: Region,
     /// Only the surface through this cell (its lowest corner, by index); may be repeated
@@ -356,6 +408,8 @@ pub(crate) struct Slice {
     /// Pixels per sample along the finer axis
     #[arg(long, value_name = "S", default_value = "1", value_parser = scale)]
     pub scale: f64,
+    #[command(flatten)]
+    pub pick: Pick,
     #[command(flatten)]
     pub region: Region,
     #[command(flatten)]

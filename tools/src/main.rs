@@ -32,6 +32,7 @@ fn main() -> ExitCode {
         Command::Import(args) => cmd::import::run(args),
         Command::Export(args) => cmd::export::run(args),
         Command::Verify(args) => cmd::verify::run(args),
+        Command::Compact(args) => cmd::compact::run(args),
         Command::Info(args) => cmd::info::run(args),
         Command::Mesh(args) => cmd::mesh::run(args),
         Command::Check(args) => cmd::check::run(args),
@@ -58,7 +59,11 @@ fn report(error: &anyhow::Error) -> u8 {
         .downcast_ref::<brickmarch::Error>()
         .is_some_and(|e| e.kind() == brickmarch::ErrorKind::Cancelled);
     if let (true, Some(code)) = (cancelled, job::signal_exit_code()) {
-        job::message("brickmarch: stopped by a signal; unfinished files were removed");
+        // An import that has committed keeps what it has, and its error says where.
+        let kept = error.to_string();
+        let kept = kept.split_once("; ").map(|(_, kept)| kept);
+        let what = kept.unwrap_or("unfinished files were removed");
+        job::message(&format!("brickmarch: stopped by a signal; {what}"));
         return code;
     }
     let line = format!("{error:#}").replace(['\n', '\r'], " ");

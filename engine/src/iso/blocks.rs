@@ -155,6 +155,21 @@ impl Blocks {
         };
         field.read(known, &mut block)
     }
+
+    /// The samples that no block needs any more once `cells` of a block were gathered, with the blocks
+    /// before it in Morton order gathered too. Those are all blocks with smaller coordinates, and a
+    /// block reads one layer beyond its upper faces: so its own samples, or where gradients read
+    /// beyond the lower faces as well, those of its neighbour below.
+    pub(super) fn done_with(&self, cells: Box3, gradients: bool) -> Box3 {
+        let points = cells.grow(0, 1);
+        if !gradients {
+            return points;
+        }
+        Box3 {
+            min: points.min.map(|v| v.saturating_sub(self.edge)),
+            max: points.min,
+        }
+    }
 }
 
 fn straddles(range: Range, capped: bool, iso: f32, inside: Inside) -> bool {

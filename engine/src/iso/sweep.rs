@@ -237,6 +237,8 @@ impl Sweep<'_> {
         let cells = self.blocks.cells_of(at, 0);
         self.blocks
             .gather(self.field, cells, usize::from(self.style.normals), samples)?;
+        self.field
+            .forget(self.blocks.done_with(cells, self.style.normals));
         self.budget.progress().add(1);
         batch.visited += 1;
         if !block.scan(samples, &self.style) {

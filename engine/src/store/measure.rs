@@ -6,9 +6,13 @@ use super::layout::brick_bytes;
 use super::write_field::write_field;
 use super::{Volume, VolumeSpec, import_stream};
 use crate::field::FromFn;
+use crate::iso::{Extract, extract};
+use crate::mesh::Count;
 use crate::{Box3, Budget, Field, Grid, Kind, Range, SampleType, Samples};
+use std::collections::HashSet;
 use std::f32::consts::TAU;
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 use std::time::Instant;
 
 fn gyroid(p: [i32; 3], period: f32) -> f32 {
@@ -265,4 +269,122 @@ fn read_all(path: &Path, mib: u64, block: i32) {
         range_s * 1e6 / regions.len() as f64,
         start.elapsed().as_secs_f64()
     );
+}
+
+/// Notes which bricks are read.
+struct Watched<'a> {
+    volume: &'a Volume,
+    edge: i32,
+    bricks: Mutex<HashSet<[i32; 3]>>,
+    forgets: bool,
+}
+
+impl Field for Watched<'_> {
+    fn grid(&self) -> &Grid {
+        self.volume.grid()
+    }
+
+    fn block_edge(&self) -> u32 {
+        self.volume.block_edge()
+    }
+
+    fn read(&self, region: Box3, out: &mut Samples<'_>) -> crate::Result<()> {
+        let first = region.min.map(|v| v / self.edge);
+        let last = region.max.map(|v| (v - 1) / self.edge);
+        let mut bricks = self.bricks.lock().expect("no thread panicked");
+        for z in first[2]..=last[2] {
+            for y in first[1]..=last[1] {
+                bricks.extend((first[0]..=last[0]).map(|x| [x, y, z]));
+            }
+        }
+        drop(bricks);
+        self.volume.read(region, out)
+    }
+
+    fn range(&self, region: Box3) -> crate::Result<Range> {
+        self.volume.range(region)
+    }
+
+    fn forget(&self, region: Box3) {
+        if self.forgets {
+            self.volume.forget(region);
+        }
+    }
+
+    fn blocks_decoded(&self) -> u64 {
+        self.volume.blocks_decoded()
+    }
+}
+
+/// Bricks decoded per distinct brick while a gyroid is meshed, for caches of a part of the bricks of
+/// its surface. `MEASURE_N` is the edge of the volume.
+#[test]
+#[ignore = "a measurement"]
+#[expect(clippy::print_stderr, reason = "a measurement")]
+fn measure_walk() {
+    let folder = tempfile::tempdir().expect("scratch folder");
+    let out = folder.path().join("v.bvol");
+    let n: i32 = std::env::var("MEASURE_N")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(512);
+    let spec = VolumeSpec {
+        brick_edge: 16,
+        ..VolumeSpec::new(Grid::new(Box3::from_size([n; 3])), SampleType::U8)
+    };
+    let (sin, cos): (Vec<f32>, Vec<f32>) =
+        (0..n).map(|v| (v as f32 * TAU / 128.0).sin_cos()).unzip();
+    let value = |p: [i32; 3]| {
+        let [x, y, z] = p.map(|v| v as usize);
+        128.0 + 60.0 * (sin[x] * cos[y] + sin[y] * cos[z] + sin[z] * cos[x])
+    };
+    let field = FromFn::new(spec.grid, Kind::Density, value, |_| Range::UNKNOWN);
+    write_field(&field, &spec, &out, &Budget::mib(256)).expect("writes");
+    for normals in [false, true] {
+        let mut distinct = 0u64;
+        for (percent, threads, forgets) in [
+            (100, 1, true),
+            (1, 1, false),
+            (1, 1, true),
+            (1, 2, false),
+            (1, 2, true),
+            (5, 1, false),
+            (5, 1, true),
+        ] {
+            // The cache is 3/8 of the budget; an entry costs its brick and a little.
+            let entries = if percent == 100 {
+                1000
+            } else {
+                distinct * percent / 100
+            };
+            let bytes = entries * (4096 + 128) * 8 / 3;
+            let budget = Budget::bytes(bytes.max(1 << 20)).with_threads(threads);
+            let volume = Volume::open(&out, &budget).expect("opens");
+            let watched = Watched {
+                volume: &volume,
+                edge: 16,
+                bricks: Mutex::default(),
+                forgets,
+            };
+            let options = Extract {
+                iso: 128.0,
+                normals,
+                ..Extract::default()
+            };
+            let start = Instant::now();
+            let stats = extract(
+                &watched,
+                &options,
+                &Budget::mib(64).with_threads(threads),
+                &mut Count::default(),
+            )
+            .expect("meshes");
+            distinct = watched.bricks.lock().expect("no thread panicked").len() as u64;
+            eprintln!(
+                "gyroid {n}^3 normals {normals} cache {entries} of {distinct} bricks, {threads} threads, forget {forgets}: {:.3} loads per brick, {:.2} s",
+                stats.blocks_decoded as f64 / distinct as f64,
+                start.elapsed().as_secs_f64()
+            );
+        }
+    }
 }

@@ -14,7 +14,7 @@ use crate::tally::Figures;
 use brickmarch::budget::human_bytes;
 use brickmarch::iso::{Extract, Stats};
 use brickmarch::mesh::{Layout, check};
-use brickmarch::store::{self, Volume, VolumeSpec};
+use brickmarch::store::{self, ImportOptions, Volume, VolumeSpec};
 use brickmarch::{Error, ErrorKind, Field, Kind, Result};
 use brickmarch_data_gen::{Scene, SceneField, SceneName};
 use brickmarch_formats::{OpenOptions, create_mesh_sink, read_mesh};
@@ -176,6 +176,7 @@ fn scan(out: &Out<'_>) -> Result<Part> {
             &volume_path,
             out.replace,
             &keep,
+            &ImportOptions::default(),
             budget,
         )?;
         let info = made.info;

@@ -1,20 +1,19 @@
 //! `export`: samples of a volume in another format.
 
-use super::{named, region, seconds};
+use super::{named, pick, region, seconds};
 use crate::Outcome;
 use crate::args::Export;
 use crate::job::Job;
 use crate::output::{self, Replace};
 use brickmarch::Field;
 use brickmarch::budget::human_bytes;
-use brickmarch::store::Volume;
 use brickmarch_formats as formats;
 use serde_json::json;
 
 pub(crate) fn run(args: &Export) -> anyhow::Result<Outcome> {
     let replace = Replace::from(&args.overwrite);
     let job = Job::new(&args.limits, &args.say);
-    let volume = Volume::open(&args.volume, &job.budget)?;
+    let volume = pick::open(&args.volume, &args.pick, &job.budget)?;
     output::check_target(&args.out, replace)?;
     let blame = named(&[&args.volume, &args.out]);
     let region = region::resolve(&args.region, volume.grid()).map_err(&blame)?;
@@ -47,5 +46,10 @@ pub(crate) fn run(args: &Export) -> anyhow::Result<Outcome> {
         "peak_rss_bytes": crate::system::peak_resident_bytes(),
     });
     job.result(&text, &json)?;
-    Ok(Outcome::Done)
+    Ok(
+        match pick::report_substituted(&volume, &args.volume, &job) {
+            true => Outcome::NotWhatWasAsked,
+            false => Outcome::Done,
+        },
+    )
 }

@@ -6,7 +6,7 @@ use crate::args::{Endian, Import};
 use crate::job::Job;
 use crate::output::{self, Replace};
 use brickmarch::budget::human_bytes;
-use brickmarch::store::{self, VolumeInfo, VolumeSpec};
+use brickmarch::store::{self, ImportOptions, VolumeInfo, VolumeSpec};
 use brickmarch::{Budget, Grid, Result};
 use brickmarch_formats::{OpenOptions, RawLayout, open_volume};
 use serde_json::json;
@@ -97,7 +97,19 @@ fn import(args: &Import, replace: Replace, budget: &Budget) -> Result<Imported> 
             spec.brick_edge = edge;
         }
     };
-    import_file(&args.source, &options, &args.out, replace, &change, budget)
+    let how = ImportOptions {
+        resume: args.resume,
+        levels: args.levels,
+    };
+    import_file(
+        &args.source,
+        &options,
+        &args.out,
+        replace,
+        &change,
+        &how,
+        budget,
+    )
 }
 
 /// Imports `source`; `change` has the last word on what the volume is.
@@ -110,6 +122,7 @@ pub(super) fn import_file(
     out: &Path,
     replace: Replace,
     change: &dyn Fn(&mut VolumeSpec),
+    how: &ImportOptions,
     budget: &Budget,
 ) -> Result<Imported> {
     output::check_target(out, replace)?;
@@ -130,7 +143,7 @@ pub(super) fn import_file(
     );
     spec.name = file_name(source);
     change(&mut spec);
-    let info = store::import_stream(&mut opened.reader, &spec, out, budget)
+    let info = store::import_with(&mut opened.reader, &spec, out, how, budget)
         .map_err(named(&[source, out]))?;
     let mut notes = opened.notes.clone();
     notes.extend(opened.late_notes());

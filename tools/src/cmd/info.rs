@@ -12,7 +12,10 @@ use std::fmt::Write;
 
 pub(crate) fn run(args: &Info) -> anyhow::Result<Outcome> {
     let job = Job::new(&args.limits, &args.say);
-    let volume = Volume::open(&args.volume, &job.budget)?;
+    let volume = match &args.name {
+        Some(name) => Volume::open_named(&args.volume, name, &job.budget)?,
+        None => Volume::open(&args.volume, &job.budget)?,
+    };
     let info = volume.info()?;
     let spec = volume.spec();
     let mut text = format!("{}\n", args.volume.display());
@@ -26,10 +29,27 @@ pub(crate) fn run(args: &Info) -> anyhow::Result<Outcome> {
     line("background", &spec.background.to_string());
     line("name", &spec.name);
     line("history", &spec.history.replace('\n', "; "));
+    if volume.names().len() > 1 {
+        line("volumes", &volume.names().join(", "));
+    }
+    if volume.levels() > 0 {
+        line("levels", &format!("{} coarser", volume.levels()));
+    }
+    let sealed = if info.sealed { ", sealed" } else { "" };
+    line("commits", &format!("{}{sealed}", info.generation));
+    if let Some(slabs) = info.unfinished_slabs {
+        let all = spec.bricks()[2];
+        line("unfinished", &format!("{slabs} of {all} slabs imported"));
+    }
     let mut json = json!({
         "schema": 1, "command": "info", "file": args.volume, "background": spec.background,
         "name": spec.name, "history": spec.history,
     });
+    json["volumes"] = json!(volume.names());
+    json["levels"] = json!(volume.levels());
+    json["generation"] = json!(info.generation);
+    json["sealed"] = json!(info.sealed);
+    json["unfinished_slabs"] = json!(info.unfinished_slabs);
     json["volume"] = figures(&info, &spec.grid);
     job.result(&text, &json)?;
     Ok(Outcome::Done)

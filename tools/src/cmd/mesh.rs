@@ -1,7 +1,7 @@
 //! `mesh`: the isosurface of a volume into a mesh file, and a picture of it if wanted.
 
 use super::info::range_json;
-use super::{named, region, seconds, thousands};
+use super::{named, pick, region, seconds, thousands};
 use crate::Outcome;
 use crate::args::{BoundaryMode, InsideMode, Mesh, Shot, Space};
 use crate::job::Job;
@@ -28,7 +28,7 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
             output::check_target(shot, replace)?;
         }
     }
-    let volume = Volume::open(&args.volume, &job.budget)?;
+    let volume = pick::open(&args.volume, &args.pick, &job.budget)?;
     let blame = named(&[&args.volume, &args.out]);
     let label;
     let field: &dyn Field = match args.label {
@@ -75,7 +75,12 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
     });
     add_figures(&mut json, &stats, &figures);
     job.result(&text, &json)?;
-    Ok(Outcome::Done)
+    Ok(
+        match pick::report_substituted(&volume, &args.volume, &job) {
+            true => Outcome::NotWhatWasAsked,
+            false => Outcome::Done,
+        },
+    )
 }
 
 /// Counts and measures of a mesh, for programs.

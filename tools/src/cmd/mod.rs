@@ -1,6 +1,7 @@
 //! The commands, one file each.
 
 pub(crate) mod check;
+pub(crate) mod compact;
 pub(crate) mod demo;
 pub(crate) mod export;
 pub(crate) mod import;
@@ -10,6 +11,7 @@ pub(crate) mod mesh;
 pub(crate) mod slice;
 pub(crate) mod verify;
 
+mod pick;
 mod region;
 
 use brickmarch::Error;

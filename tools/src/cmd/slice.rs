@@ -2,14 +2,13 @@
 //!
 //! Across z the picture has x to the right and y down; across x or y it has z up.
 
-use super::region;
+use super::{pick, region};
 use crate::Outcome;
 use crate::args::{MapName, Slice};
 use crate::colourmap;
 use crate::job::Job;
 use crate::output::{self, Replace};
 use crate::picture::{self, Picture};
-use brickmarch::store::Volume;
 use brickmarch::{Box3, Budget, Error, Field, Grid, Kind, Result, Samples};
 use serde_json::json;
 
@@ -23,7 +22,7 @@ pub(crate) fn run(args: &Slice) -> anyhow::Result<Outcome> {
     picture::check_png_name(&args.out)?;
     output::check_target(&args.out, replace)?;
     let job = Job::new(&args.limits, &args.say);
-    let volume = Volume::open(&args.volume, &job.budget)?;
+    let volume = pick::open(&args.volume, &args.pick, &job.budget)?;
     let region = region::resolve(&args.region, volume.grid())
         .map_err(|e| e.context(args.volume.display()))?
         .unwrap_or(volume.grid().domain);
@@ -60,7 +59,12 @@ pub(crate) fn run(args: &Slice) -> anyhow::Result<Outcome> {
         "peak_rss_bytes": crate::system::peak_resident_bytes(),
     });
     job.result(&text, &json)?;
-    Ok(Outcome::Done)
+    Ok(
+        match pick::report_substituted(&volume, &args.volume, &job) {
+            true => Outcome::NotWhatWasAsked,
+            false => Outcome::Done,
+        },
+    )
 }
 
 /// The slice across index axis `axis` whose middle is nearest to `position` on the world axis that

@@ -1,0 +1,47 @@
+//! From the command line to an open volume, and what is said of damage that was passed over.
+
+use crate::args::{DamageMode, Pick};
+use crate::job::Job;
+use brickmarch::store::{OnDamage, Volume};
+use brickmarch::{Budget, Result};
+use std::path::Path;
+
+/// Places of damage that are named one by one.
+const SHOWN_MAX: usize = 20;
+
+/// The volume, or level of detail of it, that was asked for.
+///
+/// # Errors
+/// As [`Volume::open_named`] and [`Volume::level`].
+pub(super) fn open(path: &Path, pick: &Pick, budget: &Budget) -> Result<Volume> {
+    let mut volume = match &pick.name {
+        Some(name) => Volume::open_named(path, name, budget)?,
+        None => Volume::open(path, budget)?,
+    };
+    if pick.level > 0 {
+        volume = volume.level(pick.level)?;
+    }
+    if pick.on_damage == DamageMode::Substitute {
+        volume.set_on_damage(OnDamage::Substitute);
+    }
+    Ok(volume)
+}
+
+/// Says what was lost; whether anything was.
+pub(super) fn report_substituted(volume: &Volume, path: &Path, job: &Job) -> bool {
+    let lost = volume.substituted();
+    for problem in lost.iter().take(SHOWN_MAX) {
+        let place = problem
+            .lost
+            .map_or(String::new(), |b| format!("; substituted: {b}"));
+        job.note(&format!("{}{place}", problem.message));
+    }
+    if lost.len() > SHOWN_MAX {
+        job.note(&format!(
+            "{}: and {} more places: see `brickmarch verify`",
+            path.display(),
+            lost.len() - SHOWN_MAX
+        ));
+    }
+    !lost.is_empty()
+}
