@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
 """Reads a volume file (.bvol, format 1) from its document alone: docs/format.md. Slow and plain.
 
-usage: read_bvol.py FILE [RAW]     describes the volume as JSON; writes its samples to RAW
-                                   (native, little-endian, i fastest, one byte per bit)
+usage: read_bvol.py FILE [RAW [VOLUME [LEVEL]]]
+
+Describes a volume as JSON, the first one or the one of this name, or a level of detail of it. Writes
+its samples to RAW (native, little-endian, i fastest, one byte per bit).
 
 Needs Python 3.8 and NumPy. Shares no code with the engine, so that the two check each other and the
 document.
@@ -96,13 +98,18 @@ def unmorton(code):
 
 
 class Reader:
-    def __init__(self, data):
+    def __init__(self, data, name=None, level=0):
         self.data = data
         self.seed = self.find_seed()
         self.generation, self.log_end, self.catalog_ref, self.footer = self.find_root()
         need(self.generation > 0, "damaged root: generation 0")
         need(self.log_end <= len(data), "truncated")
         self.read_catalog()
+        own = [n for n, v in enumerate(self.volumes) if v["lod"] == 0 and name in (None, v["name"])]
+        need(own, f"no volume {name}")
+        self.levels = self.find_levels(own[0])
+        need(0 <= level <= len(self.levels), f"level {level} of {len(self.levels)}")
+        self.choose(own[0] if level == 0 else self.levels[level - 1])
 
     # Sections 3 to 6.
 
@@ -178,7 +185,8 @@ class Reader:
         head.update(volume=volume, level=level, crc=crc)
         return head, self.data[at + 40 : at + 40 + stored], end
 
-    def follow(self, reference, kind, key=0, level=0, before=None):
+    def follow(self, reference, kind, key=0, level=0, before=None, volume=None):
+        """The record of a reference, which must be in its place."""
         offset, length, crc = struct.unpack("<QII", reference)
         found = self.record_at(offset) if offset >= 12288 else None
         need(found is not None, f"no record at offset {offset}")
@@ -186,29 +194,43 @@ class Reader:
         need(end <= (self.log_end if before is None else before), f"record at {offset} ends too late")
         need((head["crc"], len(payload)) == (crc, length), f"another record at {offset}")
         place = (head["kind"], head["key"], head["level"], head["volume"])
-        need(place == (kind, key, level, 0), f"record of another place at {offset}")
+        volume = self.number if volume is None else volume
+        need(place == (kind, key, level, volume), f"record of another place at {offset}")
+        need(head["generation"] <= self.generation, f"record of a later generation at {offset}")
         return head, payload, offset
 
     # Section 7.
 
     def read_catalog(self):
-        _, payload, _ = self.follow(self.catalog_ref, CATALOG)
+        head, payload, _ = self.follow(self.catalog_ref, CATALOG, volume=0)
+        need(head["generation"] == self.generation, "catalog of another generation")
         version, count = struct.unpack_from("<HH", payload)
-        need((version, count) == (1, 1), f"catalog version {version} with {count} volumes")
-        entry = payload[8:]
-        self.root_ref, self.root_level = entry[32:48], entry[48]
-        (name_length,) = struct.unpack_from("<H", entry, 54)
-        need(len(entry) == 56 + (name_length + 7) // 8 * 8, "catalog length")
-        self.name = entry[56 : 56 + name_length].decode("utf-8")
+        need(version == 1 and 1 <= count <= 4096, f"catalog version {version} with {count} volumes")
+        self.volumes, at = [], 8
+        for n in range(count):
+            entry = payload[at : at + 56]
+            need(len(entry) == 56, "catalog is cut off")
+            level, lod, parent, _, name_length = struct.unpack_from("<BBHHH", entry, 48)
+            name = payload[at + 56 : at + 56 + name_length]
+            at += 56 + (name_length + 7) // 8 * 8
+            need(at <= len(payload) and name_length <= 255, "name is cut off")
+            fits = parent == 0 if lod == 0 else parent < n and self.volumes[parent]["lod"] == 0
+            need(fits, f"volume {n} is level {lod} of volume {parent}")
+            refs = dict(attributes=entry[0:16], history=entry[16:32], root=entry[32:48])
+            self.volumes.append(dict(refs, level=level, lod=lod, parent=parent, name=name.decode("utf-8")))
+        need(at == len(payload), "bytes are left over in the catalog")
+
+    def choose(self, number):
+        self.number = number
+        entry = self.volumes[number]
+        self.root_ref, self.root_level, self.name = entry["root"], entry["level"], entry["name"]
         self.history = ""
-        if any(entry[16:32]):
-            _, text, _ = self.follow(entry[16:32], HISTORY)
+        if any(entry["history"]):
+            _, text, _ = self.follow(entry["history"], HISTORY)
             version, length = struct.unpack_from("<IQ", text)
             if version == 1:
                 self.history = text[12 : 12 + length].decode("utf-8")
-        _, a, _ = self.follow(entry[0:16], ATTRIBUTES)
-        need(len(a) == 208 and a[0:2] == b"\1\0", "attributes version")
-        need(a[3] == 1 and a[6] == 0 and 3 <= a[7] <= 6, "attributes")
+        a = self.attributes(number)
         self.sample, self.kind, self.unit = TYPES[a[2]], KINDS[a[4]], UNITS[a[5]]
         self.dtype = np.dtype(NUMPY[self.sample])
         self.edge = 1 << a[7]
@@ -219,6 +241,22 @@ class Reader:
         self.matrix = struct.unpack_from("<12d", a, 72)
         self.counts = struct.unpack_from("<5Q", a, 168)
         self.bricks = [-(-n // self.edge) for n in self.size]
+
+    def attributes(self, number):
+        _, a, _ = self.follow(self.volumes[number]["attributes"], ATTRIBUTES, volume=number)
+        need(len(a) == 208 and a[0:2] == b"\1\0", "attributes version")
+        need(a[3] == 1 and a[6] == 0 and 3 <= a[7] <= 6, "attributes")
+        return a
+
+    def find_levels(self, parent):
+        """Numbers of the levels of detail that were built from the samples of a volume."""
+        found = {}
+        for n, entry in enumerate(self.volumes):
+            if entry["lod"] and entry["parent"] == parent:
+                if self.attributes(n)[68:72] == self.volumes[parent]["root"][12:16]:
+                    found[entry["lod"]] = n
+        whole = range(1, len(found) + 1)
+        return [found[lod] for lod in whole] if all(lod in found for lod in whole) else []
 
     def value(self, four):
         width = self.dtype.itemsize
@@ -344,12 +382,13 @@ class Reader:
             history=self.history, min=self.min, size=self.size, matrix=self.matrix,
             background=number(self.background), range=[low, high], has_nan=self.has_nan,
             bricks=self.counts[0], tiles=self.counts[1], pages=self.counts[3], generation=self.generation,
+            volumes=[v["name"] for v in self.volumes if v["lod"] == 0], levels=len(self.levels),
         )
 
 
 def main():
     with open(sys.argv[1], "rb") as file:
-        reader = Reader(file.read())
+        reader = Reader(file.read(), *sys.argv[3:4], *map(int, sys.argv[4:5]))
     samples = reader.samples()
     if len(sys.argv) > 2:
         samples.tofile(sys.argv[2])

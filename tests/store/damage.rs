@@ -5,10 +5,10 @@
 //! to every other value, `BRICKMARCH_DAMAGE=<number>` so many.
 
 use super::image::{self, LOG};
-use super::{golden, handmade};
+use super::{View, golden, handmade};
 use crate::support::report::figure;
 use crate::support::rng::Rng;
-use brickmarch::store::{MemoryStorage, Storage, Volume, VolumeInfo, verify_in};
+use brickmarch::store::{MemoryStorage, Storage, Volume, VolumeInfo, VolumeSpec, verify_in};
 use brickmarch::{Budget, ErrorKind, Field};
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -23,28 +23,48 @@ const SAMPLED: u64 = 200_000;
 struct Sound {
     name: String,
     bytes: Arc<Vec<u8>>,
+    names: Vec<String>,
+    /// Each volume and level, the first volume first.
+    expected: Vec<Expected>,
+    /// Bytes that reading needs: those that the newest root reaches.
+    reached: Vec<bool>,
+    places: Vec<usize>,
+}
+
+/// What a volume or level must give.
+struct Expected {
+    view: View,
     samples: Vec<u8>,
-    about: String,
+    spec: VolumeSpec,
     info: VolumeInfo,
-    /// First byte after the header copy, first byte of the last footer, first byte after it.
-    needed: usize,
-    footer: usize,
-    end: usize,
+    levels: u8,
 }
 
 impl Sound {
     fn new(name: String, bytes: Vec<u8>) -> Self {
-        let volume = super::open(bytes.clone(), &Budget::mib(16)).expect("sound");
-        let records = image::records(&bytes);
-        let last = records.last().expect("a footer");
+        let budget = Budget::mib(16);
+        let storage: Arc<dyn Storage> = Arc::new(MemoryStorage::new(bytes.clone()));
+        let expect = |view: View| {
+            let volume = view.open(&storage, &budget).expect("sound");
+            Expected {
+                samples: super::read_all(&volume).expect("sound"),
+                spec: volume.spec().clone(),
+                info: volume.info().expect("sound"),
+                levels: volume.levels(),
+                view,
+            }
+        };
+        let views = super::views(&bytes, &budget).expect("sound");
+        let reached = image::reached(&bytes);
         Self {
             name,
-            samples: super::read_all(&volume).expect("sound"),
-            about: format!("{:?}", volume.spec()),
-            info: volume.info().expect("sound"),
-            needed: records[0].end(),
-            footer: last.at,
-            end: last.end(),
+            names: super::open(bytes.clone(), &budget)
+                .expect("sound")
+                .names()
+                .to_vec(),
+            expected: views.into_iter().map(expect).collect(),
+            places: (0..bytes.len()).filter(|&at| reached[at]).collect(),
+            reached,
             bytes: Arc::new(bytes),
         }
     }
@@ -56,7 +76,10 @@ fn sound() -> Vec<Sound> {
     let old = [2, 3].map(|n| {
         let (bytes, samples) = handmade::generations(n);
         let sound = Sound::new(format!("{n}_generations"), bytes);
-        assert!(sound.samples == samples, "the newest generation");
+        assert!(
+            sound.expected[0].samples == samples,
+            "the newest generation"
+        );
         sound
     });
     let golden = golden.into_iter().map(|(name, b)| Sound::new(name, b));
@@ -124,26 +147,16 @@ fn outcome(
     out: &mut Vec<u8>,
 ) -> Outcome {
     let read = || -> brickmarch::Result<bool> {
-        let volume = Volume::open_in(storage, Path::new("damaged"), budget)?;
-        let domain = volume.spec().grid.domain;
-        let same = volume.spec().grid.domain == sound.info.domain
-            && volume.spec().sample == sound.info.sample;
-        if !same {
+        let first = Volume::open_in(storage.clone(), Path::new("damaged"), budget)?;
+        if first.names() != sound.names || !is_right(&first, &sound.expected[0], out)? {
             return Ok(false);
         }
-        out.fill(0x5a);
-        volume.read_raw(domain, out)?;
-        let range = volume.range(domain)?;
-        let info = volume.info()?;
-        let info = VolumeInfo {
-            bytes_file: sound.info.bytes_file,
-            compression: sound.info.compression,
-            ..info
-        };
-        Ok(*out == sound.samples
-            && range.union(info.range) == info.range
-            && info == sound.info
-            && format!("{:?}", volume.spec()) == sound.about)
+        for expected in &sound.expected[1..] {
+            if !is_right(&expected.view.open(&storage, budget)?, expected, out)? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     };
     match catch_unwind(AssertUnwindSafe(read)) {
         Ok(Ok(true)) => Outcome::Right,
@@ -151,6 +164,47 @@ fn outcome(
         Ok(Err(error)) => Outcome::Refused(error.kind()),
         Err(_) => Outcome::Panic,
     }
+}
+
+/// Whether a volume gives all that it must; what is wrong may be an error instead.
+fn is_right(volume: &Volume, expected: &Expected, out: &mut Vec<u8>) -> brickmarch::Result<bool> {
+    if volume.spec().grid.domain != expected.info.domain
+        || volume.spec().sample != expected.info.sample
+    {
+        return Ok(false);
+    }
+    let domain = expected.info.domain;
+    out.clear();
+    out.resize(expected.samples.len(), 0x5a);
+    volume.read_raw(domain, out)?;
+    let range = volume.range(domain)?;
+    let info = volume.info()?;
+    let info = VolumeInfo {
+        bytes_file: expected.info.bytes_file,
+        compression: expected.info.compression,
+        // Only the superblock says it, and nothing depends on it.
+        sealed: info.sealed || expected.info.sealed,
+        ..info
+    };
+    Ok(*out == expected.samples
+        && range.union(info.range) == info.range
+        && info == expected.info
+        && same_spec(volume.spec(), &expected.spec)
+        && volume.levels() == expected.levels)
+}
+
+/// NaN as background equals itself.
+fn same_spec(one: &VolumeSpec, other: &VolumeSpec) -> bool {
+    let bits = |spec: &VolumeSpec| spec.background.to_bits();
+    let background = 0.0;
+    bits(one) == bits(other)
+        && VolumeSpec {
+            background,
+            ..one.clone()
+        } == VolumeSpec {
+            background,
+            ..other.clone()
+        }
 }
 
 /// Counts over many cases.
@@ -225,11 +279,11 @@ fn cases(
     };
     let mut rng = Rng::new(seed);
     Box::new((0..count).map(move |n| {
-        // Every other one among the records that reading needs.
+        // Every other one among the bytes that reading needs.
         let at = if n % 2 == 0 {
             rng.below(bytes.len() as u64) as usize
         } else {
-            sound.needed + rng.below((sound.end - sound.needed) as u64) as usize
+            rng.pick(&sound.places)
         };
         (at, bytes[at] ^ (1 + rng.below(255)) as u8)
     }))
@@ -237,9 +291,9 @@ fn cases(
 
 /// Bytes whose damage reading repairs or does not need (docs/format.md, section 10): the file header
 /// and superblocks, which the log replaces, and what only recovery and verify read: header copy,
-/// footers, gaps, older generations.
+/// footers, gaps, what the newest root does not reach.
 fn may_go_unnoticed(sound: &Sound, at: usize) -> bool {
-    at < LOG || at < sound.needed || at >= sound.footer || sound.name.ends_with("generations")
+    at < LOG || !sound.reached[at]
 }
 
 #[test]
@@ -264,7 +318,7 @@ fn every_damaged_byte_is_refused_or_harmless() {
             base: sound.bytes.clone(),
             state: AtomicU64::new(u64::MAX),
         });
-        let mut out = vec![0; sound.samples.len()];
+        let mut out = Vec::new();
         let count = count.map(|c: u64| c.div_ceil(all.len() as u64));
         for (at, value) in cases(sound, count, n as u64) {
             storage
@@ -316,7 +370,7 @@ fn every_truncation_and_extension() {
     spread(all.len(), |n| {
         let sound = &all[n];
         let length = sound.bytes.len();
-        let mut out = vec![0; sound.samples.len()];
+        let mut out = Vec::new();
         let storage = Arc::new(MemoryStorage::new(sound.bytes.to_vec()));
         // From the longest to the shortest, so that the bytes need no copy.
         for end in (0..length).rev() {
@@ -368,7 +422,7 @@ fn damaged_sectors_and_bursts() {
         let sound = &all[n];
         let base = &sound.bytes;
         let length = base.len();
-        let mut out = vec![0; sound.samples.len()];
+        let mut out = Vec::new();
         let mut rng = Rng::new(77 + n as u64);
         let mut bytes = base.to_vec();
         let mut run = |bytes: &[u8], what: &dyn Fn() -> String| {

@@ -2,14 +2,15 @@
 //! a change of the format adds files of its own (`v2_...`).
 
 use super::image::{self, kind, put};
-use super::{open, read_all, small};
+use super::{View, changed, open, read_all, small, views};
 use crate::support::data::workspace;
 use crate::support::report::figure;
-use brickmarch::store::verify_in;
+use brickmarch::store::{MemoryStorage, Storage, verify_in};
 use brickmarch::{Budget, ErrorKind};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// The folder of the files and of their table.
 pub(crate) fn folder() -> PathBuf {
@@ -24,7 +25,9 @@ fn hash(bytes: &[u8]) -> String {
     format!("{hash:016x}")
 }
 
-/// Name, hash of the file, hash of the samples, and what the volume is.
+/// Hash of the file, hash of the samples, and what the volume is. The names are those of
+/// [`View::key`].
+#[derive(Debug, PartialEq, Eq)]
 struct Row {
     file: String,
     samples: String,
@@ -49,7 +52,7 @@ fn table() -> BTreeMap<String, Row> {
 
 /// Names and bytes of all golden volumes.
 pub(crate) fn files() -> Vec<(String, Vec<u8>)> {
-    let names = table().into_keys();
+    let names = table().into_keys().filter(|key| !key.contains('/'));
     names
         .map(|name| {
             let path = folder().join(&name);
@@ -79,29 +82,49 @@ fn about(volume: &brickmarch::store::Volume) -> String {
     )
 }
 
+/// What the table says of each volume and level of a file.
+fn rows(name: &str, bytes: &[u8], budget: &Budget) -> Vec<(String, Row)> {
+    let file = hash(bytes);
+    let storage: Arc<dyn Storage> = Arc::new(MemoryStorage::new(bytes.to_vec()));
+    let views = views(bytes, budget).unwrap_or_else(|e| panic!("{name}: {e}"));
+    let row = |view: &View| {
+        let key = view.key(name, &views[0].volume);
+        let volume = view.open(&storage, budget);
+        let volume = volume.unwrap_or_else(|e| panic!("{key}: {e}"));
+        let samples = read_all(&volume).unwrap_or_else(|e| panic!("{key}: {e}"));
+        let row = Row {
+            file: file.clone(),
+            samples: hash(&samples),
+            about: about(&volume),
+        };
+        (key, row)
+    };
+    views.iter().map(row).collect()
+}
+
 #[test]
 fn golden_files_read_as_they_were_written() {
     let budget = Budget::mib(24);
-    let table = table();
-    assert!(table.len() >= 14, "{} golden files", table.len());
+    let mut table = table();
+    assert!(table.len() >= 20, "{} golden volumes", table.len());
     let mut bytes_all = 0;
     for (name, bytes) in files() {
-        let row = &table[&name];
         assert_eq!(
             hash(&bytes),
-            row.file,
+            table[&name].file,
             "{name} was written anew: golden files stay as they are, a new format gets new ones"
         );
         bytes_all += bytes.len();
-        let volume = open(bytes.clone(), &budget).unwrap_or_else(|e| panic!("{name}: {e}"));
-        let samples = read_all(&volume).unwrap_or_else(|e| panic!("{name}: {e}"));
-        assert_eq!(hash(&samples), row.samples, "{name}: other samples");
-        assert_eq!(about(&volume), row.about, "{name}");
-        let storage = std::sync::Arc::new(brickmarch::store::MemoryStorage::new(bytes));
+        for (key, now) in rows(&name, &bytes, &budget) {
+            let then = table.remove(&key);
+            assert_eq!(Some(now), then, "{key}");
+        }
+        let storage = Arc::new(MemoryStorage::new(bytes));
         let report = verify_in(storage, name.as_ref(), &budget).expect("readable");
         assert!(report.is_intact(), "{name}: {report:?}");
     }
-    assert!(bytes_all < 400 << 10, "{bytes_all} bytes of golden files");
+    assert!(table.is_empty(), "not there: {:?}", table.keys());
+    assert!(bytes_all < 800 << 10, "{bytes_all} bytes of golden files");
 }
 
 #[test]
@@ -117,6 +140,9 @@ fn golden_files_have_every_codec_type_and_kind() {
     }
     assert_eq!(codecs, BTreeSet::from([0, 1, 2, 3, 4, 5]));
     assert_eq!(levels, BTreeSet::from([1, 2]));
+    for mark in ["/distances", "@1", "@2"] {
+        assert!(table().keys().any(|key| key.contains(mark)), "no {mark}");
+    }
     for sample in brickmarch::SampleType::ALL {
         assert!(words.contains(sample.name()), "no golden {}", sample.name());
     }
@@ -142,28 +168,40 @@ fn the_current_writer_keeps_the_golden_samples() {
     }
 }
 
-/// Adds files that are missing, after a new one was described in `small`. Never replaces one.
+/// The same for files with several commits, volumes and levels.
+#[test]
+fn the_current_writer_keeps_the_golden_samples_of_changed_files() {
+    let table = table();
+    let budget = Budget::mib(24);
+    for (name, bytes) in changed::all() {
+        for (key, now) in rows(&format!("v1_{name}.bvol"), &bytes, &budget) {
+            assert_eq!(table[&key].samples, now.samples, "{key}");
+        }
+    }
+}
+
+/// Adds files that are missing, after a new one was described in `small` or `changed`. Never replaces
+/// one.
 #[test]
 #[ignore = "writes to tests/golden: run by hand when a golden file is added"]
 fn add_missing_golden_files() {
     let mut table = table();
     let budget = Budget::mib(24);
-    for small in small::all() {
-        let name = format!("v1_{}.bvol", small.name);
+    let small = small::all().into_iter().map(|s| (s.name, s.file()));
+    for (name, bytes) in small.chain(changed::all()) {
+        let name = format!("v1_{name}.bvol");
         let path = folder().join(&name);
         if table.contains_key(&name) || path.exists() {
             continue;
         }
-        let bytes = small.file();
-        let volume = open(bytes.clone(), &budget).expect("its own file");
-        let row = Row {
-            file: hash(&bytes),
-            samples: hash(&small.raw),
-            about: about(&volume),
-        };
+        let rows = rows(&name, &bytes, &budget);
         std::fs::write(&path, &bytes).expect("the folder is writable");
-        figure(&format!("{name}: {} bytes, {}", bytes.len(), row.about));
-        table.insert(name, row);
+        figure(&format!(
+            "{name}: {} bytes, {} volumes and levels",
+            bytes.len(),
+            rows.len()
+        ));
+        table.extend(rows);
     }
     let mut text = String::new();
     for (name, row) in &table {

@@ -345,6 +345,44 @@ fn refs_in(bytes: &[u8], record: &Found) -> Vec<usize> {
     }
 }
 
+/// Which bytes of a sound file the newest root reaches, where levels of detail count only when they
+/// were built from the samples that are there.
+pub(crate) fn reached(bytes: &[u8]) -> Vec<bool> {
+    let mut reached = vec![false; bytes.len()];
+    let all: std::collections::BTreeMap<_, _> =
+        records(bytes).into_iter().map(|r| (r.at, r)).collect();
+    let newest = if u64_at(bytes, 4096 + 8) > u64_at(bytes, 8192 + 8) {
+        4096
+    } else {
+        8192
+    };
+    let catalog = all[&(u64_at(bytes, newest + 24) as usize)];
+    let mut todo = vec![catalog];
+    while let Some(record) = todo.pop() {
+        reached[record.at..record.end()].fill(true);
+        for (n, at) in refs_in(bytes, &record).into_iter().enumerate() {
+            let stale = record.kind == kind::CATALOG && n % 3 == 2 && is_stale(bytes, &record, at);
+            let offset = u64_at(bytes, at) as usize;
+            if offset != 0 && !stale {
+                todo.push(all[&offset]);
+            }
+        }
+    }
+    reached
+}
+
+/// Whether the catalog entry with its root reference at `root` is a level of other samples.
+fn is_stale(bytes: &[u8], catalog: &Found, root: usize) -> bool {
+    let entry = root - 32;
+    if bytes[entry + 49] == 0 {
+        return false;
+    }
+    let parent = usize::from(u16_at(bytes, entry + 50));
+    let parent_root = refs_in(bytes, catalog)[3 * parent + 2];
+    let attributes = u64_at(bytes, entry) as usize + HEAD;
+    u32_at(bytes, attributes + 68) != u32_at(bytes, parent_root + 12)
+}
+
 fn fix(bytes: &mut [u8], at: usize, crcs: &std::collections::BTreeMap<u64, u32>) {
     if let Some(crc) = crcs.get(&u64_at(bytes, at)) {
         put(bytes, at + 12, crc.to_le_bytes());

@@ -1,19 +1,26 @@
 //! `tests/reader/read_bvol.py`, written from `docs/format.md` alone, against the engine: the same
 //! samples and the same description of every file.
 
-use super::{golden, handmade, open, read_all, small};
+use super::{View, golden, handmade, read_all, small, views};
 use crate::support::data::workspace;
 use crate::support::program::Run;
 use crate::support::python::{has, python};
 use crate::support::rng::Rng;
 use crate::support::scratch::{Scratch, bytes};
+use brickmarch::store::{MemoryStorage, Storage};
 use brickmarch::{Budget, SampleType};
 use serde_json::{Value, json};
+use std::path::PathBuf;
+use std::sync::Arc;
 
-fn run(scratch: &Scratch, file: &[u8]) -> Run {
+fn run(scratch: &Scratch, file: &[u8], view: Option<&View>) -> Run {
     let script = workspace().join("tests/reader/read_bvol.py");
     let path = scratch.write("volume.bvol", file);
-    python([script, path, scratch.path("samples.raw")])
+    let mut words = vec![script, path, scratch.path("samples.raw")];
+    if let Some(view) = view {
+        words.extend([PathBuf::from(&view.volume), view.level.to_string().into()]);
+    }
+    python(words)
 }
 
 /// JSON has no words for what is not finite; both sides say them as text.
@@ -32,9 +39,20 @@ fn same_f32(said: &Value, value: f32) -> bool {
     }
 }
 
+/// Every volume and level of a file.
 fn compare(scratch: &Scratch, name: &str, file: &[u8]) {
-    let volume = open(file.to_vec(), &Budget::mib(24)).expect("sound");
-    let run = run(scratch, file).success();
+    let views = views(file, &Budget::mib(24)).expect("sound");
+    for view in &views {
+        compare_view(scratch, &view.key(name, &views[0].volume), file, view);
+    }
+}
+
+fn compare_view(scratch: &Scratch, name: &str, file: &[u8], view: &View) {
+    let storage: Arc<dyn Storage> = Arc::new(MemoryStorage::new(file.to_vec()));
+    let volume = view.open(&storage, &Budget::mib(24)).expect("sound");
+    // The first without being asked for it.
+    let chosen = (view.level > 0 || volume.names()[0] != view.volume).then_some(view);
+    let run = run(scratch, file, chosen).success();
     let samples = read_all(&volume).expect("sound");
     assert!(
         bytes(&scratch.path("samples.raw")) == samples,
@@ -68,8 +86,13 @@ fn compare(scratch: &Scratch, name: &str, file: &[u8]) {
         ("bricks", json!(info.bricks_stored)),
         ("tiles", json!(info.tiles)),
         ("pages", json!(info.pages)),
+        ("generation", json!(info.generation)),
+        ("volumes", json!(volume.names())),
     ] {
         assert_eq!(said[key], value, "{name}: {key}");
+    }
+    if view.level == 0 {
+        assert_eq!(said["levels"], json!(volume.levels()), "{name}: levels");
     }
     assert!(
         same(&said["background"], spec.background),
@@ -133,7 +156,7 @@ fn the_reader_from_the_document_refuses_damage() {
         let at = begin + rng.below((footer - begin) as u64) as usize;
         let mut bad = file.clone();
         bad[at] ^= 1 << rng.below(8);
-        let run = run(&scratch, &bad);
+        let run = run(&scratch, &bad, None);
         assert_eq!(run.code, Some(1), "byte {at}: {run:#?}");
         assert!(run.stderr.lines().count() == 1, "byte {at}: {run:#?}");
     }

@@ -21,7 +21,7 @@ fn hash(p: [u32; 3]) -> u32 {
 
 /// What the bricks along x hold, one after the other.
 #[derive(Clone, Copy)]
-enum Part {
+pub(crate) enum Part {
     Background,
     Constant,
     Noise,
@@ -62,7 +62,7 @@ fn value(part: Part, sample: SampleType, p: [u32; 3]) -> f64 {
     }
 }
 
-fn make(
+pub(crate) fn make(
     name: &'static str,
     sample: SampleType,
     kind: Kind,

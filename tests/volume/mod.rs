@@ -40,11 +40,16 @@ pub(crate) struct Dense<'a> {
 impl Dense<'_> {
     /// Puts every brick.
     pub(crate) fn put_all(&self, writer: &VolumeWriter) {
+        self.put_all_in(writer, 0);
+    }
+
+    /// All bricks as volume `number`.
+    pub(crate) fn put_all_in(&self, writer: &VolumeWriter, number: usize) {
         let spec = self.spec;
         let domain = spec.grid.domain;
         let width = spec.sample.bytes();
         let edge = spec.brick_edge as usize;
-        let [bx, by, bz] = writer.bricks();
+        let [bx, by, bz] = spec.bricks();
         for brick in (0..bx * by * bz).map(|n| [n % bx, n / bx % by, n / bx / by]) {
             // Beyond the domain anything may stand; it must not show.
             let mut bytes = vec![0xa5; edge.pow(3) * width];
@@ -60,7 +65,9 @@ impl Dense<'_> {
             if spec.sample == SampleType::Bit {
                 bytes.iter_mut().for_each(|b| *b = u8::from(*b == 1));
             }
-            writer.put_brick(brick, &bytes).expect("the brick is new");
+            writer
+                .put_brick_in(number, brick, &bytes)
+                .expect("the brick is new");
         }
     }
 }
