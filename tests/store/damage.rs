@@ -8,8 +8,10 @@ use super::image::{self, LOG};
 use super::{View, golden, handmade};
 use crate::support::report::figure;
 use crate::support::rng::Rng;
-use brickmarch::store::{MemoryStorage, Storage, Volume, VolumeInfo, VolumeSpec, verify_in};
-use brickmarch::{Budget, ErrorKind, Field};
+use brickmarch::store::{
+    MemoryStorage, Storage, Volume, VolumeInfo, VolumeSpec, VolumeWriter, verify_in,
+};
+use brickmarch::{Box3, Budget, ErrorKind, Field};
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -329,9 +331,99 @@ fn every_damaged_byte_is_refused_or_harmless() {
                 format!("{}: byte {at} set to {value}", sound.name)
             });
         }
+        if count.is_none() {
+            figure(&format!(
+                "{}: each of {} bytes set to every other value",
+                sound.name,
+                sound.bytes.len()
+            ));
+        }
     });
     assert!(budget.peak_bytes() <= 16 << 20 && budget.used_bytes() == 0);
     tally.report("damaged bytes", begin);
+}
+
+/// A writer that opens a damaged file refuses, or what it commits reads right: its own change and the
+/// rest, or an error for what is damaged.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "release only: many cases")]
+fn a_writer_on_a_damaged_file_makes_nothing_worse() {
+    let begin = std::time::Instant::now();
+    let all = sound();
+    let (tally, refused) = (Tally::default(), AtomicU64::new(0));
+    let budget = Budget::mib(16).with_threads(1);
+    let count = match std::env::var_os("BRICKMARCH_DAMAGE") {
+        Some(_) => 100_000,
+        None => 1500,
+    };
+    spread(all.len(), |n| {
+        let sound = &all[n];
+        let first = &sound.expected[0];
+        let mut changed = first.samples.clone();
+        let (domain, edge) = (first.info.domain, first.info.brick_edge as i32);
+        let width = first.info.sample.bytes();
+        let far = std::array::from_fn(|a| domain.min[a] + edge);
+        let brick = Box3::new(domain.min, far).intersect(&domain);
+        for k in brick.min[2]..brick.max[2] {
+            for j in brick.min[1]..brick.max[1] {
+                for i in brick.min[0]..brick.max[0] {
+                    let at = domain.offset_of([i, j, k]) * width;
+                    first.info.sample.put(1.0, &mut changed[at..at + width]);
+                }
+            }
+        }
+        let name = Path::new("damaged");
+        for (at, value) in cases(sound, Some(count), 900 + n as u64) {
+            let mut bytes = sound.bytes.to_vec();
+            bytes[at] = value;
+            let storage: Arc<dyn Storage> = Arc::new(MemoryStorage::new(bytes));
+            let change = || -> brickmarch::Result<bool> {
+                let writer = VolumeWriter::open_in(storage.clone(), name, &budget)?;
+                writer.put_constant([0; 3], 0, 1.0)?;
+                writer.commit().map(|_| true)
+            };
+            let changes = match catch_unwind(AssertUnwindSafe(change)) {
+                Ok(Ok(changes)) => changes,
+                Ok(Err(_)) => false,
+                Err(_) => panic!("{}: byte {at} set to {value}: panic", sound.name),
+            };
+            let wanted = |expected: &Expected| -> Vec<u8> {
+                let is_changed = changes && expected.view == first.view;
+                if is_changed {
+                    &changed
+                } else {
+                    &expected.samples
+                }
+                .clone()
+            };
+            let read = || -> brickmarch::Result<bool> {
+                for expected in sound.expected.iter().filter(|e| e.view.level == 0) {
+                    let volume = expected.view.open(&storage, &budget)?;
+                    if super::read_all(&volume)? != wanted(expected) {
+                        return Ok(false);
+                    }
+                }
+                Ok(true)
+            };
+            let outcome = match catch_unwind(AssertUnwindSafe(read)) {
+                Ok(Ok(true)) => Outcome::Right,
+                Ok(Ok(false)) => Outcome::Silent,
+                Ok(Err(error)) => Outcome::Refused(error.kind()),
+                Err(_) => Outcome::Panic,
+            };
+            // A change may go around the damage, or replace what was damaged.
+            refused.fetch_add(u64::from(!changes), Relaxed);
+            tally.add(outcome, true, || {
+                format!("{}: byte {at} set to {value}, then changed", sound.name)
+            });
+        }
+    });
+    assert!(budget.used_bytes() == 0);
+    figure(&format!(
+        "changes of damaged files: {} refused",
+        refused.load(Relaxed)
+    ));
+    tally.report("changes of damaged files", begin);
 }
 
 /// What reading does not notice verify does, byte by byte.
