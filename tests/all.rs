@@ -10,4 +10,5 @@ mod extraction;
 mod reference;
 mod store;
 mod support;
+mod topology;
 mod volume;

@@ -8,11 +8,13 @@
 //! Samples outside the region that is meshed are NaN, and NaN is outside: that closes the solid
 //! with a cap, and nothing else in here knows of borders.
 
-use super::ambiguity::joined_faces;
+use super::ambiguity::offsets;
 use super::cube::{OTHER, corner};
 use super::dispatch::Level;
+use super::inner::Cell;
+use super::interior::decide;
 use super::place::Placement;
-use super::table::{CENTRE, TABLE};
+use super::table::TABLE;
 use crate::mesh::{EdgeKey, Piece};
 use crate::sample::Inside;
 
@@ -45,11 +47,13 @@ pub(super) struct Block {
     base: Vec<[u32; 3]>,
     /// Rows of cells that the surface crosses: y, z, and a bit per cell.
     active: Vec<(u8, u8, u64)>,
+    /// Numbers in the table of the active cells whose mask does not tell the case, in order.
+    decided: Vec<u16>,
     /// Vertices on lattice edges.
     pub(super) edge_vertices: usize,
-    /// Upper bound of all vertices.
+    /// All vertices.
     pub(super) vertices_max: usize,
-    /// Upper bound of the triangles.
+    /// All triangles.
     pub(super) triangles_max: usize,
 }
 
@@ -161,16 +165,17 @@ impl Block {
             }
         }
         self.edge_vertices = count as usize;
-        self.find_active_cells(samples.size);
+        self.find_active_cells(samples, style);
         self.edge_vertices > 0
     }
 
     #[inline(always)]
-    fn find_active_cells(&mut self, size: [usize; 3]) {
-        let [nx, ny, nz] = size;
+    fn find_active_cells(&mut self, samples: &BlockSamples, style: &Style) {
+        let [nx, ny, nz] = samples.size;
         let table = &*TABLE;
         self.active.clear();
-        let (mut triangles, mut centres) = (0, 0);
+        self.decided.clear();
+        let (mut triangles, mut interior) = (0, 0);
         for z in 0..nz - 1 {
             for y in 0..ny - 1 {
                 let m = self.four_rows(y + ny * z, ny);
@@ -184,14 +189,21 @@ impl Block {
                 while cells != 0 {
                     let x = cells.trailing_zeros();
                     cells &= cells - 1;
-                    let (t, c) = table.most[cell_mask(&m, x)];
-                    triangles += usize::from(t);
-                    centres += usize::from(c);
+                    let mask = cell_mask(&m, x);
+                    triangles += usize::from(table.plain_triangles[mask]);
+                    if table.undecided[mask] != 0 {
+                        let values = corner_values(samples, [x as usize, y, z]);
+                        let number = decide(&values, mask as u8, style.iso, style.inside);
+                        let (t, v) = table.size(number);
+                        triangles += t;
+                        interior += v;
+                        self.decided.push(number);
+                    }
                 }
             }
         }
         self.triangles_max = triangles;
-        self.vertices_max = self.edge_vertices + centres;
+        self.vertices_max = self.edge_vertices + interior;
     }
 
     /// Inside masks of the four rows of points around a row of cells.
@@ -345,6 +357,7 @@ impl Block {
         let before = piece.triangles.len();
         piece.triangles.resize(before + self.triangles_max, [0; 3]);
         let mut written = before;
+        let mut decided = self.decided.iter();
         for &(y, z, mut cells) in &self.active {
             let row = usize::from(y) + ny * usize::from(z);
             let inside = self.four_rows(row, ny);
@@ -353,24 +366,24 @@ impl Block {
                 let x = cells.trailing_zeros();
                 cells &= cells - 1;
                 let mask = cell_mask(&inside, x);
-                let faces = table.ambiguous[mask];
-                let joined = if faces == 0 {
-                    0
+                let ids = numbers.of_cell(x);
+                let entry = if table.undecided[mask] == 0 {
+                    table.plain(mask)
                 } else {
-                    out.ambiguous_faces += u64::from(faces.count_ones());
-                    let values = corner_values(samples, [x as usize, y.into(), z.into()]);
-                    joined_faces(&values, faces, style.iso, style.inside)
+                    out.ambiguous_faces += u64::from(table.ambiguous[mask].count_ones());
+                    let number = *decided.next().expect("scanned");
+                    match table.case(number) {
+                        Ok(entry) if entry.centre().is_empty() => entry,
+                        _ => {
+                            let cell = [x as usize, y.into(), z.into()];
+                            let from = piece.positions.len();
+                            written =
+                                emit_inner(samples, style, cell, number, &ids, piece, written);
+                            out.interior_vertices += (piece.positions.len() - from) as u64;
+                            continue;
+                        }
+                    }
                 };
-                let entry = table.entry(mask as u8, joined);
-                let mut ids = numbers.of_cell(x);
-                let ring = entry.centre();
-                if !ring.is_empty() {
-                    let cell = [x as i32, y.into(), z.into()];
-                    let ring = ring.iter().map(|&e| ids[usize::from(e)]);
-                    ids[usize::from(CENTRE)] =
-                        push_centre(samples.origin, cell, ring, style, piece);
-                    out.interior_vertices += 1;
-                }
                 for t in entry.triangles() {
                     let id = |k: usize| ids[usize::from(t[k] & 15)];
                     piece.triangles[written] = [id(0), id(1), id(2)];
@@ -483,35 +496,56 @@ fn corner_values(samples: &BlockSamples, cell: [usize; 3]) -> [f32; 8] {
     })
 }
 
-/// A vertex inside a cell, in the middle of its loop.
-fn push_centre(
-    origin: [i32; 3],
-    cell: [i32; 3],
-    ring: impl Iterator<Item = u32>,
+/// The vertices and triangles of a cell that has vertices inside.
+#[cold]
+#[inline(never)]
+fn emit_inner(
+    samples: &BlockSamples,
     style: &Style,
+    cell: [usize; 3],
+    number: u16,
+    edges: &[u32; 16],
     piece: &mut Piece,
-) -> u32 {
-    let (mut position, mut normal, mut n) = ([0f64; 3], [0f32; 3], 0f64);
-    for v in ring {
-        let p = piece.positions[v as usize];
-        (0..3).for_each(|a| position[a] += f64::from(p[a]));
-        if style.normals {
-            let q = piece.normals[v as usize];
-            (0..3).for_each(|a| normal[a] += q[a]);
+    mut written: usize,
+) -> usize {
+    let values = corner_values(samples, cell);
+    let frame = Cell {
+        values: &values,
+        offsets: offsets(&values, style.iso, style.inside),
+        iso: style.iso,
+        placement: &style.placement,
+    };
+    let mut points = Vec::new();
+    let triangles = match TABLE.case(number) {
+        Ok(entry) => {
+            points.push(frame.centre(entry.centre()));
+            entry.triangles()
         }
-        n += 1.0;
+        Err(tunnel) => {
+            frame.waist(tunnel, &mut points);
+            &tunnel.triangles
+        }
+    };
+    let first = piece.positions.len() as u32;
+    let point = std::array::from_fn(|a| samples.origin[a] + cell[a] as i32);
+    for (axis, at) in (3..).zip(points) {
+        piece.own.push(piece.positions.len() as u32);
+        piece.positions.push(style.placement.in_cell(point, at));
+        if style.normals {
+            let gradient = frame.interpolate(at).1;
+            let normal = style.placement.normal(gradient, style.inside);
+            piece.normals.push(normal.unwrap_or([0.0, 0.0, 1.0]));
+        }
+        if style.keys {
+            piece.keys.push(EdgeKey { point, axis });
+        }
     }
-    let local = piece.positions.len() as u32;
-    piece.own.push(local);
-    piece.positions.push(position.map(|v| (v / n) as f32));
-    if style.normals {
-        piece
-            .normals
-            .push(super::place::unit(normal.map(f64::from)).unwrap_or([0.0, 0.0, 1.0]));
+    for t in triangles {
+        piece.triangles[written] = t.map(|v| match v {
+            0..12 => edges[usize::from(v)],
+            _ => first + u32::from(v) - 12,
+        });
+        written += 1;
     }
-    if style.keys {
-        let point = std::array::from_fn(|a| origin[a] + cell[a]);
-        piece.keys.push(EdgeKey { point, axis: 3 });
-    }
-    local
+    written
 }

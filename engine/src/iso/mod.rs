@@ -6,13 +6,17 @@ mod block;
 mod blocks;
 mod cube;
 mod dispatch;
+mod exact;
 mod extract;
+mod inner;
+mod interior;
 mod numbering;
 mod place;
 mod sweep;
 mod table;
 #[cfg(test)]
 mod tests;
+mod waist;
 mod walker;
 
 pub use extract::{Boundary, Extract, Stats, extract};

@@ -115,6 +115,23 @@ impl Placement {
         self.to_world(g).unwrap_or([0.0, 0.0, 1.0])
     }
 
+    /// The least distance, in cells, of a vertex from the ends of its edge.
+    pub(super) fn min_t(&self) -> f64 {
+        f64::from(self.min_t)
+    }
+
+    /// World position of a point inside the cell with lowest corner `cell`.
+    pub(super) fn in_cell(&self, cell: [i32; 3], at: [f64; 3]) -> [f32; 3] {
+        let index = std::array::from_fn(|a| f64::from(cell[a]) + at[a]);
+        self.map.apply(index).map(|v| v as f32)
+    }
+
+    /// Unit normal out of the solid where the field has this gradient, if it has a direction.
+    pub(super) fn normal(&self, gradient: [f64; 3], inside: Inside) -> Option<[f32; 3]> {
+        let out = if inside == Inside::Above { -1.0 } else { 1.0 };
+        self.to_world(gradient.map(|v| out * v))
+    }
+
     fn to_world(self, g: [f64; 3]) -> Option<[f32; 3]> {
         unit(
             self.gradient_rows

@@ -12,6 +12,7 @@
 //! 1994 discuss what happens without it.
 
 use super::cube::{edge_axis, edge_between, edge_in_face, edge_origin, face_corners};
+use super::waist::{TunnelCase, tunnel_case};
 use std::sync::LazyLock;
 
 /// Corner of a triangle beside the edges of the cell, 0 to 11: the vertex inside a loop.
@@ -53,21 +54,73 @@ impl Entry {
 pub(crate) struct Table {
     /// Faces whose corners alternate, a bit each, per mask.
     pub(crate) ambiguous: [u8; 256],
-    /// Most triangles and most inside vertices over the decisions of a mask.
-    pub(crate) most: [(u8, u8); 256],
+    /// Not zero where the mask alone does not tell the case: it has ambiguous faces, or it may hold a
+    /// tunnel without having any (two opposite corners against the rest).
+    pub(crate) undecided: [u8; 256],
+    /// Triangles of a mask that tells the case.
+    pub(crate) plain_triangles: [u8; 256],
     first: [u16; 256],
     entries: Vec<Entry>,
+    /// Cases with a tunnel; they are numbered after the entries.
+    tunnels: Vec<TunnelCase>,
+    /// Per entry the numbers of its tunnels, by [`slot`].
+    slots: Vec<[u16; 8]>,
+}
+
+/// No such tunnel.
+const NONE: u16 = u16::MAX;
+
+/// Place of a tunnel in the list of an entry: its diagonal, and whether the box is inside.
+fn slot(apex: usize, box_inside: bool) -> usize {
+    let diagonal = if apex == 4 { 3 } else { apex };
+    2 * diagonal + usize::from(box_inside)
 }
 
 impl Table {
-    /// The entry of `mask` when the inside corners of the faces in `joined` are joined; only the
+    /// The number of `mask` when the inside corners of the faces in `joined` are joined; only the
     /// bits of ambiguous faces count.
     #[inline]
-    pub(crate) fn entry(&self, mask: u8, joined: u8) -> &Entry {
-        let first = usize::from(self.first[mask as usize]);
+    pub(crate) fn number(&self, mask: u8, joined: u8) -> u16 {
+        let first = self.first[mask as usize];
         match self.ambiguous[mask as usize] {
-            0 => &self.entries[first],
-            faces => &self.entries[first + usize::from(gather_bits(joined, faces))],
+            0 => first,
+            faces => first + u16::from(gather_bits(joined, faces)),
+        }
+    }
+
+    /// The entry of a mask that tells the case.
+    #[inline(always)]
+    pub(crate) fn plain(&self, mask: usize) -> &Entry {
+        &self.entries[usize::from(self.first[mask])]
+    }
+
+    /// The entry of a number, or its tunnel.
+    #[inline(always)]
+    pub(crate) fn case(&self, number: u16) -> std::result::Result<&Entry, &TunnelCase> {
+        let number = usize::from(number);
+        (self.entries.get(number)).ok_or_else(|| &self.tunnels[number - self.entries.len()])
+    }
+
+    /// Whether the loops of an entry allow a tunnel.
+    #[inline]
+    pub(crate) fn may_hold_tunnel(&self, number: u16) -> bool {
+        self.slots[usize::from(number)] != [NONE; 8]
+    }
+
+    /// The number of the tunnel of an entry around the diagonal from corner `apex` (0, 1, 2 or 4).
+    pub(crate) fn tunnel_number(&self, number: u16, apex: usize, box_inside: bool) -> Option<u16> {
+        let tunnel = self.slots[usize::from(number)][slot(apex, box_inside)];
+        (tunnel != NONE).then_some(tunnel)
+    }
+
+    /// Triangles and inside vertices of a number.
+    pub(crate) fn size(&self, number: u16) -> (usize, usize) {
+        match self.case(number) {
+            Ok(entry) => (
+                usize::from(entry.count),
+                usize::from(entry.centre_length > 0),
+            ),
+            Err(tunnel) => (tunnel.triangles.len(), tunnel.waist.len()),
         }
     }
 }
@@ -97,9 +150,12 @@ fn scatter_bits(value: u8, places: u8) -> u8 {
 fn build() -> Table {
     let mut table = Table {
         ambiguous: [0; 256],
-        most: [(0, 0); 256],
+        undecided: [0; 256],
+        plain_triangles: [0; 256],
         first: [0; 256],
         entries: Vec::new(),
+        tunnels: Vec::new(),
+        slots: Vec::new(),
     };
     for mask in 0..=255u8 {
         let faces = ambiguous_faces(mask);
@@ -108,12 +164,43 @@ fn build() -> Table {
         table.first[m] = table.entries.len() as u16;
         for rank in 0..1u8 << faces.count_ones() {
             let entry = triangulate(&loops(mask, scatter_bits(rank, faces)));
-            table.most[m].0 = table.most[m].0.max(entry.count);
-            table.most[m].1 = table.most[m].1.max(u8::from(entry.centre_length > 0));
             table.entries.push(entry);
         }
     }
+    add_tunnels(&mut table);
+    for mask in 0..256 {
+        let first = table.first[mask];
+        table.undecided[mask] = match table.ambiguous[mask] {
+            0 => u8::from(table.may_hold_tunnel(first)),
+            faces => faces,
+        };
+        if table.undecided[mask] == 0 {
+            table.plain_triangles[mask] = table.entries[usize::from(first)].count;
+        }
+    }
     table
+}
+
+fn add_tunnels(table: &mut Table) {
+    let count = table.entries.len();
+    table.slots = vec![[NONE; 8]; count];
+    for mask in 0..=255u8 {
+        let faces = ambiguous_faces(mask);
+        for rank in 0..1u8 << faces.count_ones() {
+            let joined = scatter_bits(rank, faces);
+            for (apex, box_inside) in [0, 1, 2, 4]
+                .into_iter()
+                .flat_map(|a| [(a, false), (a, true)])
+            {
+                if let Some(case) = tunnel_case(mask, joined, apex, box_inside) {
+                    let number = usize::from(table.number(mask, joined));
+                    let tunnel = (count + table.tunnels.len()) as u16;
+                    table.slots[number][slot(apex, box_inside)] = tunnel;
+                    table.tunnels.push(case);
+                }
+            }
+        }
+    }
 }
 
 /// Faces of `mask` whose corners alternate.
@@ -244,10 +331,15 @@ mod tests {
         })
     }
 
+    fn disks(mask: u8, joined: u8) -> &'static Entry {
+        let case = TABLE.case(TABLE.number(mask, joined));
+        case.expect("numbers of entries come first")
+    }
+
     #[test]
     fn every_case_is_a_set_of_disks_whose_border_is_its_loops() {
         for (mask, joined) in all_cases() {
-            let entry = TABLE.entry(mask, joined);
+            let entry = disks(mask, joined);
             let rings = loops(mask, joined);
             let mut sides: HashMap<(u8, u8), i32> = HashMap::new();
             for t in entry.triangles() {
@@ -289,15 +381,15 @@ mod tests {
 
     #[test]
     fn worked_cases_have_the_known_number_of_triangles() {
-        assert_eq!(TABLE.entry(0b0000_0001, 0).triangles().len(), 1);
-        assert_eq!(TABLE.entry(0b0000_1111, 0).triangles().len(), 2);
-        assert_eq!(TABLE.entry(0b0000_0111, 0).triangles().len(), 3);
-        assert_eq!(TABLE.entry(0b1111_1110, 0).triangles().len(), 1);
+        assert_eq!(disks(0b0000_0001, 0).triangles().len(), 1);
+        assert_eq!(disks(0b0000_1111, 0).triangles().len(), 2);
+        assert_eq!(disks(0b0000_0111, 0).triangles().len(), 3);
+        assert_eq!(disks(0b1111_1110, 0).triangles().len(), 1);
     }
 
     #[test]
     fn a_lone_inside_corner_faces_outwards() {
-        let [a, b, c] = TABLE.entry(1, 0).triangles()[0].map(|e| edge_axis(e.into()));
+        let [a, b, c] = disks(1, 0).triangles()[0].map(|e| edge_axis(e.into()));
         assert!([[0, 1, 2], [1, 2, 0], [2, 0, 1]].contains(&[a, b, c]));
     }
 
@@ -346,7 +438,7 @@ mod tests {
     #[test]
     fn few_cases_need_a_vertex_inside() {
         let with: Vec<_> = all_cases()
-            .filter(|&(m, j)| !TABLE.entry(m, j).centre().is_empty())
+            .filter(|&(m, j)| !disks(m, j).centre().is_empty())
             .collect();
         for &(mask, _) in &with {
             assert_ne!(TABLE.ambiguous[mask as usize], 0, "{mask:08b}");

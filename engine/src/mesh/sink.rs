@@ -15,7 +15,7 @@ use std::sync::Mutex;
 pub struct EdgeKey {
     /// Lower end point of the edge, or lowest corner of the cell.
     pub point: [i32; 3],
-    /// Direction of the edge: 0, 1, 2; or 3 for a vertex inside the cell.
+    /// Direction of the edge: 0, 1, 2; or 3 and more for the vertices inside the cell.
     pub axis: u8,
 }
 
