@@ -11,7 +11,7 @@ const INTERIOR: u8 = 3;
 
 /// Checks everything that can differ between a mesh with keys, in index space, and the oracle:
 /// vertices and their places bit for bit, the border of the patch in every cell including its
-/// direction, that each loop bounds a disk, and the topology of the whole.
+/// direction, that each loop bounds a disk or two a tunnel, and the topology of the whole.
 #[track_caller]
 pub(super) fn assert_same_surface(mesh: &Mesh, want: &Surface, what: &str) {
     same_vertices(mesh, want, what);
@@ -23,7 +23,8 @@ pub(super) fn assert_same_surface(mesh: &Mesh, want: &Surface, what: &str) {
     );
     for (cell, patch) in &patches {
         let loops = &want.loops[cell];
-        same_border(mesh, patch, loops, &format!("{what}: cell {cell:?}"));
+        let link = want.tunnels.get(cell);
+        same_border(mesh, patch, loops, link, &format!("{what}: cell {cell:?}"));
     }
     let verdict = judge(&mesh.positions, &mesh.triangles);
     let shape = want.shape();
@@ -104,8 +105,14 @@ fn cells_of(key: &EdgeKey) -> Vec<[i32; 3]> {
 }
 
 /// The triangles of a cell have the loops as their border, run them in the same direction, and are
-/// as many disks as there are loops.
-fn same_border(mesh: &Mesh, patch: &[[u32; 3]], loops: &[Vec<Key>], what: &str) {
+/// as many disks as there are loops; but two loops that are linked bound one tunnel.
+fn same_border(
+    mesh: &Mesh,
+    patch: &[[u32; 3]],
+    loops: &[Vec<Key>],
+    link: Option<&[Key; 2]>,
+    what: &str,
+) {
     let mut directed: BTreeSet<(u32, u32)> = BTreeSet::new();
     for &[a, b, c] in patch {
         for edge in [(a, b), (b, c), (c, a)] {
@@ -139,8 +146,18 @@ fn same_border(mesh: &Mesh, patch: &[[u32; 3]], loops: &[Vec<Key>], what: &str) 
         .filter(|&&(a, b)| a < b || !directed.contains(&(b, a)))
         .count();
     let euler = number.len() as i64 - edges as i64 + patch.len() as i64;
-    assert_eq!(sets.count(), loops.len(), "{what}: pieces");
-    assert_eq!(euler, loops.len() as i64, "{what}: not disks");
+    let tunnels = usize::from(link.is_some());
+    assert_eq!(sets.count(), loops.len() - tunnels, "{what}: pieces");
+    assert_eq!(
+        euler,
+        loops.len() as i64 - 2 * tunnels as i64,
+        "{what}: not disks"
+    );
+    if let Some(ends) = link {
+        let at = |end: &Key| number[number.keys().find(|&&v| key(v) == *end).expect("a vertex")];
+        let [a, b] = [at(&ends[0]), at(&ends[1])].map(|v| sets.root(v));
+        assert_eq!(a, b, "{what}: the tunnel joins other loops");
+    }
 }
 
 fn numbered(items: impl Iterator<Item = u32>) -> HashMap<u32, u32> {

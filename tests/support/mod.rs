@@ -11,3 +11,5 @@ pub(crate) mod report;
 pub(crate) mod rng;
 pub(crate) mod scratch;
 pub(crate) mod topology;
+pub(crate) mod tunnel;
+pub(crate) mod whole;

@@ -1,8 +1,8 @@
 //! The oracle of extraction: dense marching cubes without tables, from first principles.
 //!
 //! On each face of each cell the surface leaves oriented arcs; the arcs of a cell join into loops;
-//! every loop bounds a disk. That is all that decides the topology of a mesh, and it needs no case
-//! table. Nothing of the engine is used except the types in which a question is put.
+//! every loop bounds a disk, unless the trilinear interpolant has a tunnel that joins two of them.
+//! That is all that decides the topology of a mesh, and it needs no case table. Nothing of the engine is used except the types in which a question is put.
 //!
 //! The rules, as `docs/conventions.md` states them:
 //! - inside is `value >= iso` (above) or `value < iso` (below); NaN and what lies beyond the border
@@ -13,6 +13,7 @@
 //! - a vertex stands at `t = (iso - a) / (b - a)` from the lower lattice point, in f32, kept within
 //!   `MIN_T..=1 - MIN_T`; next to an outside without a value it stands at `MIN_T` from the inside.
 
+use super::tunnel::tunnel;
 use brickmarch::{Box3, Inside};
 use std::collections::{BTreeMap, HashMap};
 
@@ -43,6 +44,8 @@ pub(crate) struct Surface {
     /// Loops of each cell, by its lowest corner, in the direction in which the disk is
     /// counter-clockwise seen from outside the solid.
     pub(crate) loops: BTreeMap<[i32; 3], Vec<Vec<Key>>>,
+    /// Two loops of a cell that bound a tunnel rather than two disks, by one vertex each.
+    pub(crate) tunnels: BTreeMap<[i32; 3], [Key; 2]>,
     /// Faces whose corners alternate, counted in every cell that has them.
     pub(crate) ambiguous_faces: u64,
 }
@@ -136,9 +139,38 @@ impl Question<'_> {
             surface.vertices.insert(key, p.map(|v| v as f32));
         }
         let loops = follow(next);
+        if loops.len() > 1 {
+            if let Some(joined) = self.tunnel(cell, &loops) {
+                surface.tunnels.insert(cell, joined);
+            }
+        }
         if !loops.is_empty() {
             surface.loops.insert(cell, loops);
         }
+    }
+
+    /// The two loops that a tunnel joins, if the cell holds one. A third loop, if any, cuts off a
+    /// corner of the other side than the middle of the tunnel.
+    fn tunnel(&self, cell: [i32; 3], loops: &[Vec<Key>]) -> Option<[Key; 2]> {
+        let corner = |i: usize| -> [i32; 3] {
+            std::array::from_fn(|a| cell[a] + i32::from(i >> a & 1 == 1))
+        };
+        let above = tunnel(&std::array::from_fn(|i| self.offset(corner(i))))?;
+        let cuts_off = |ring: &&Vec<Key>| {
+            (0..8).map(corner).any(|p| {
+                let ends = |&(low, axis): &Key| low == p || step(low, usize::from(axis), 1) == p;
+                ring.iter().all(ends) && (self.offset(p) >= 0.0) != above
+            })
+        };
+        let mut left = loops
+            .iter()
+            .filter(|ring| loops.len() == 2 || !cuts_off(ring));
+        let joined = [left.next()?[0], left.next()?[0]];
+        assert!(
+            left.next().is_none(),
+            "cell {cell:?}: a tunnel joins two loops"
+        );
+        Some(joined)
     }
 
     /// Adds the arcs of a face, whose corners come counter-clockwise seen from outside the cell.
@@ -240,6 +272,11 @@ fn follow(mut next: BTreeMap<Key, Key>) -> Vec<Vec<Key>> {
 }
 
 impl Surface {
+    /// Loops of a cell that share a sheet, and the sheets.
+    fn links(&self) -> impl Iterator<Item = (Key, Key)> + '_ {
+        self.tunnels.values().map(|&[a, b]| (a, b))
+    }
+
     /// Arcs of all loops, directed.
     pub(crate) fn arcs(&self) -> impl Iterator<Item = (Key, Key)> + '_ {
         self.loops
@@ -257,7 +294,7 @@ impl Surface {
             .map(|(&k, n)| (k, n))
             .collect();
         let mut sets = super::topology::Sets::new(self.vertices.len());
-        for (a, b) in self.arcs() {
+        for (a, b) in self.arcs().chain(self.links()) {
             sets.join(number[&a], number[&b]);
         }
         let seeds = self.loops.get(&cell).into_iter().flatten();
@@ -269,10 +306,11 @@ impl Surface {
             loops.retain(|ring| reached(&ring[0]));
         }
         part.loops.retain(|_, loops| !loops.is_empty());
+        part.tunnels.retain(|_, joined| reached(&joined[0]));
         part
     }
 
-    /// Components, Euler characteristic (loops as disks) and open borders.
+    /// Components, Euler characteristic and open borders.
     pub(crate) fn shape(&self) -> Shape {
         let number: HashMap<Key, u32> = self
             .vertices
@@ -280,11 +318,14 @@ impl Surface {
             .zip(0..)
             .map(|(&k, n)| (k, n))
             .collect();
-        let arcs: Vec<(u32, u32)> = self.arcs().map(|(a, b)| (number[&a], number[&b])).collect();
+        let numbers = |(a, b)| (number[&a], number[&b]);
+        let arcs: Vec<(u32, u32)> = self.arcs().map(numbers).collect();
+        let links: Vec<(u32, u32)> = self.links().map(numbers).collect();
         shape(
             self.vertices.len(),
             &arcs,
             self.loops.values().map(Vec::len).sum(),
+            &links,
         )
     }
 }
@@ -294,14 +335,21 @@ pub(crate) fn ring_arcs(ring: &[Key]) -> impl Iterator<Item = (Key, Key)> + '_ {
     (0..ring.len()).map(|i| (ring[i], ring[(i + 1) % ring.len()]))
 }
 
-/// Shape of a complex of `vertices` points, `faces` disks and the directed `edges` of their borders.
-pub(crate) fn shape(vertices: usize, edges: &[(u32, u32)], faces: usize) -> Shape {
+/// Shape of a complex of `vertices` points and the directed `edges` around `loops`, which are borders
+/// of disks, but for pairs with a vertex in each of two that are linked by a tunnel.
+pub(crate) fn shape(
+    vertices: usize,
+    edges: &[(u32, u32)],
+    loops: usize,
+    links: &[(u32, u32)],
+) -> Shape {
     let mut directed: HashMap<(u32, u32), i32> = HashMap::new();
     let mut sets = super::topology::Sets::new(vertices);
     for &(a, b) in edges {
         *directed.entry((a, b)).or_default() += 1;
         sets.join(a, b);
     }
+    links.iter().for_each(|&(a, b)| sets.join(a, b));
     let undirected = directed
         .keys()
         .filter(|&&(a, b)| a < b || !directed.contains_key(&(b, a)))
@@ -325,7 +373,7 @@ pub(crate) fn shape(vertices: usize, edges: &[(u32, u32)], faces: usize) -> Shap
     borders.sort_unstable();
     Shape {
         components: sets.count(),
-        euler: vertices as i64 - undirected as i64 + faces as i64,
+        euler: vertices as i64 - undirected as i64 + loops as i64 - 2 * links.len() as i64,
         borders,
     }
 }
