@@ -3,6 +3,7 @@
 
 #![allow(clippy::print_stdout, reason = "a benchmark prints")]
 
+mod ambiguous;
 mod brick_edge;
 mod kernel;
 
@@ -13,6 +14,9 @@ fn main() {
         .unwrap_or_default();
     if "kernel".contains(&filter) {
         kernel::run();
+    }
+    if "ambiguous".contains(&filter) {
+        ambiguous::run();
     }
     if "brick_edge".contains(&filter) {
         brick_edge::run();

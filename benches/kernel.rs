@@ -7,7 +7,7 @@ use brickmarch::{Box3, Budget, Field, Grid, Range, Result, Samples};
 use std::time::Instant;
 
 /// A dense array that does not scan itself for ranges: every block is looked at.
-struct Unranged(Dense);
+pub(crate) struct Unranged(pub(crate) Dense);
 
 impl Field for Unranged {
     fn grid(&self) -> &Grid {
@@ -43,17 +43,21 @@ fn fill(n: i32, edge: u32, value: impl Fn([f32; 3]) -> f32) -> Unranged {
 pub(crate) fn run() {
     let n = 256;
     let middle = n as f32 / 2.0;
-    let k = std::f32::consts::TAU * 8.0 / n as f32;
     let sphere =
         |p: [f32; 3]| p.iter().map(|v| (v - middle).powi(2)).sum::<f32>().sqrt() - 0.4 * n as f32;
-    let gyroid = |p: [f32; 3]| {
-        let [x, y, z] = p.map(|v| v * k);
-        x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()
-    };
     for edge in [16, 32] {
         report(&format!("sphere {n} edge {edge}"), &fill(n, edge, sphere));
-        report(&format!("gyroid {n} edge {edge}"), &fill(n, edge, gyroid));
+        report(&format!("gyroid {n} edge {edge}"), &gyroid(n, edge));
     }
+}
+
+/// Eight periods.
+pub(crate) fn gyroid(n: i32, edge: u32) -> Unranged {
+    let k = std::f32::consts::TAU * 8.0 / n as f32;
+    fill(n, edge, |p: [f32; 3]| {
+        let [x, y, z] = p.map(|v| v * k);
+        x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()
+    })
 }
 
 fn report(name: &str, field: &Unranged) {

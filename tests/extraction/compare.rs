@@ -13,7 +13,7 @@ const INTERIOR: u8 = 3;
 /// vertices and their places bit for bit, the border of the patch in every cell including its
 /// direction, that each loop bounds a disk or two a tunnel, and the topology of the whole.
 #[track_caller]
-pub(super) fn assert_same_surface(mesh: &Mesh, want: &Surface, what: &str) {
+pub(crate) fn assert_same_surface(mesh: &Mesh, want: &Surface, what: &str) {
     same_vertices(mesh, want, what);
     let patches = patches(mesh, what);
     let cells: BTreeSet<[i32; 3]> = patches.keys().copied().collect();

@@ -2,7 +2,7 @@
 
 mod analytic;
 mod checker;
-mod compare;
+pub(crate) mod compare;
 mod laws;
 mod oracle;
 mod seeds;

@@ -4,7 +4,7 @@ use super::compare::assert_same_surface;
 use super::{dense, mesh_of};
 use crate::support::fields::{Content, random};
 use crate::support::naive::Question;
-use crate::support::rng::Rng;
+use crate::support::rng::{Rng, rounds};
 use crate::support::topology::judge;
 use brickmarch::iso::{Boundary, Extract};
 use brickmarch::{Box3, Budget, ErrorKind, Inside};
@@ -140,12 +140,4 @@ fn block_edges_do_not_change_the_mesh() {
         assert_eq!(first, sorted(16), "{content:?}");
         assert_eq!(first, sorted(32), "{content:?}");
     }
-}
-
-/// Rounds of the random test: `BRICKMARCH_ROUNDS`, or so many.
-fn rounds(usual: u32) -> u32 {
-    let asked = std::env::var("BRICKMARCH_ROUNDS").ok();
-    asked.map_or(usual, |text| {
-        text.parse().expect("BRICKMARCH_ROUNDS is a number")
-    })
 }

@@ -2,6 +2,7 @@
 
 #![allow(dead_code, reason = "each helper is used by some of the modules only")]
 
+pub(crate) mod crossing;
 pub(crate) mod data;
 pub(crate) mod fields;
 pub(crate) mod naive;

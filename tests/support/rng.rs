@@ -41,3 +41,11 @@ impl Rng {
         self.below(one_in) == 0
     }
 }
+
+/// Rounds of a random test: `BRICKMARCH_ROUNDS`, or so many.
+pub(crate) fn rounds(usual: u32) -> u32 {
+    let asked = std::env::var("BRICKMARCH_ROUNDS").ok();
+    asked.map_or(usual, |text| {
+        text.parse().expect("BRICKMARCH_ROUNDS is a number")
+    })
+}

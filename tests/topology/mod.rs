@@ -2,6 +2,7 @@
 
 mod neighbours;
 mod published;
+mod random;
 mod symmetry;
 
 use crate::support::topology::{Sets, Verdict, judge};
@@ -13,6 +14,28 @@ use std::collections::HashMap;
 
 /// The surface of a small grid at `iso`, open at the border, in index space.
 fn mesh(size: [i32; 3], values: &[f32], iso: f32, inside: Inside, boundary: Boundary) -> Mesh {
+    mesh_of(size, values, iso, inside, boundary, false)
+}
+
+/// The same with the keys of the vertices.
+fn mesh_with_keys(
+    size: [i32; 3],
+    values: &[f32],
+    iso: f32,
+    inside: Inside,
+    boundary: Boundary,
+) -> Mesh {
+    mesh_of(size, values, iso, inside, boundary, true)
+}
+
+fn mesh_of(
+    size: [i32; 3],
+    values: &[f32],
+    iso: f32,
+    inside: Inside,
+    boundary: Boundary,
+    keys: bool,
+) -> Mesh {
     let grid = Grid::new(Box3::from_size(size));
     let mut field = Dense::new(grid, values.to_vec()).expect("sizes match");
     field.block_edge = 8;
@@ -22,6 +45,7 @@ fn mesh(size: [i32; 3], values: &[f32], iso: f32, inside: Inside, boundary: Boun
         boundary,
         index_space: true,
         allow_empty: true,
+        keys,
         ..Extract::default()
     };
     let mut sink = Collect::default();
