@@ -139,10 +139,10 @@ impl Question<'_> {
             surface.vertices.insert(key, p.map(|v| v as f32));
         }
         let loops = follow(next);
-        if loops.len() > 1 {
-            if let Some(joined) = self.tunnel(cell, &loops) {
-                surface.tunnels.insert(cell, joined);
-            }
+        if loops.len() > 1
+            && let Some(joined) = self.tunnel(cell, &loops)
+        {
+            surface.tunnels.insert(cell, joined);
         }
         if !loops.is_empty() {
             surface.loops.insert(cell, loops);

@@ -62,7 +62,7 @@ fn ties_and_values_that_are_no_numbers_stay_closed_after_welding() {
             .collect();
         for inside in [Inside::Above, Inside::Below] {
             for iso in [1.0, 2.0] {
-                let whole = mesh([n as i32; 3], &values, iso, inside, Boundary::Cap);
+                let whole = mesh([n; 3], &values, iso, inside, Boundary::Cap);
                 for v in [verdict(&whole), verdict(&welded(&whole))] {
                     assert!(
                         v.is_manifold() && v.is_closed(),

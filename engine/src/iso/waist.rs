@@ -52,7 +52,7 @@ pub(crate) fn tunnel_case(
 ) -> Option<TunnelCase> {
     let ring = [1, 3, 2, 6, 4, 5].map(|bits| apex ^ bits);
     let of_box = |corner: usize| (mask >> corner & 1 == 1) == box_inside;
-    let end = |k: usize| if k % 2 == 0 { apex } else { apex ^ 7 };
+    let end = |k: usize| if k.is_multiple_of(2) { apex } else { apex ^ 7 };
     let after = |k: usize| (k + 1) % 6;
     let before = |k: usize| (k + 5) % 6;
     // The crossings in the octant of each ring corner, in the direction of the ring.
