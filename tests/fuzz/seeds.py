@@ -119,8 +119,17 @@ def main():
     )
     add("obj", b"# c\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvn 0 0 1\nvt 0 0\no a\nf 1 2 3\nf 1//1 3//1 4//1 2//1\n")
     add("obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\n")
-    add("operations", bytes([1, 40, 8, 8, 0, 0, 1] + [0, 0, 0, 2, 9, 1, 2, 3] * 4 + [1, 0, 0, 3, 7, 7, 7, 7]))
-    add("operations", bytes(range(1, 200)))
+    # Eight bytes are one operation, see tests/store/operations.rs; the first are the volume.
+    volume = lambda sample, kind=0: [0, sample, 60, 15, 9, 100, 0, kind]
+    bricks = [op for x in range(8) for op in ([17 * (x % 4), x, x % 2, 0, 0, 9 + x, x, 3],)]
+    constant, commit, reopen, drop = [38, 0, 0, 0, 0, 7, 7, 7], [9] + [0] * 7, [10] + [0] * 7, [11] + [0] * 7
+    more, levels, compact = [12, 7, 20, 20, 20, 3, 1, 1], [13, 2] + [0] * 6, [14] + [0] * 7
+    keep, refresh, older, torn = ([15 + 128, n, 1, 99, 0, 0, 0, 0] for n in range(4))
+    second = [0, 1, 1, 1, 1, 5, 5, 5]
+    for sample in range(8):
+        script = [volume(sample, sample % 2), *bricks, commit, keep, constant, levels, reopen, bricks[2], refresh]
+        script += [more, second, commit, older, drop, bricks[5], torn, constant, commit, compact, bricks[1], refresh]
+        add("operations", bytes(b for op in script for b in op))
     for target, inputs in seeds.items():
         folder = out / target
         folder.mkdir(parents=True, exist_ok=True)

@@ -7,6 +7,7 @@ mod golden;
 mod handmade;
 mod hostile;
 mod image;
+mod operations;
 mod reader;
 mod small;
 

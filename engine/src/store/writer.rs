@@ -346,7 +346,7 @@ impl VolumeWriter {
     /// As [`put_brick`](Self::put_brick), or no such volume.
     pub fn put_brick_in(&self, volume: usize, brick: [u32; 3], raw: &[u8]) -> Result<()> {
         let _shared = self.gate.read().unwrap_or_else(PoisonError::into_inner);
-        let part = self.part(volume)?;
+        let part = self.own_part(volume)?;
         let edge = part.spec.brick_edge as usize;
         let length = edge.pow(3) * part.spec.sample.bytes();
         if raw.len() != length {
@@ -387,7 +387,7 @@ impl VolumeWriter {
         value: f64,
     ) -> Result<()> {
         let _shared = self.gate.read().unwrap_or_else(PoisonError::into_inner);
-        let sample = self.part(volume)?.spec.sample;
+        let sample = self.own_part(volume)?.spec.sample;
         self.log.check()?;
         let bits = exact_bits_of(sample, value, "the constant")?;
         self.put_constant_bits(volume, node_min, level, bits)
@@ -409,6 +409,19 @@ impl VolumeWriter {
             )));
         }
         part.tree().put_constant(node_min, level, bits)
+    }
+
+    /// A volume that may be written to: a level of detail is built from its samples only.
+    fn own_part(&self, volume: usize) -> Result<&Part> {
+        let part = self.part(volume)?;
+        if part.lod != 0 {
+            return Err(Error::bad_input(format!(
+                "{}: volume number {volume} is a level of detail of volume {}: change that one and build the levels again",
+                self.path.display(),
+                part.parent
+            )));
+        }
+        Ok(part)
     }
 
     fn part(&self, volume: usize) -> Result<&Part> {
