@@ -1,15 +1,22 @@
 //! The file format from outside: damage of every byte, hostile files, files of every
-//! version, and an independent reader.
+//! version, and an independent reader; and against what a disk may do: crashes, faults, kills.
 
+mod broken;
 mod changed;
+mod crash;
 mod damage;
+mod disk;
+mod faults;
 mod golden;
 mod handmade;
 mod hostile;
 mod image;
+mod kill;
 mod operations;
 mod reader;
 mod small;
+mod states;
+mod tale;
 
 use brickmarch::store::{MemoryStorage, Storage, Volume};
 use brickmarch::{Budget, Result};

@@ -421,3 +421,43 @@ fn a_torn_superblock_is_given_back_before_the_next_commit() {
     dense.fill([1, 0, 0], [2, 1, 1], |_| 9.0);
     check(&storage, &dense, &budget);
 }
+
+/// A first commit that was found in the log left the other superblock damaged, and the next commit,
+/// while it was written, made the file unreadable.
+#[test]
+fn a_writer_makes_damaged_superblocks_good_before_it_appends() {
+    let budget = Budget::mib(24);
+    let dense = Dense::new(spec([20, 9, 9], SampleType::U8, 8), mixed);
+    for commits in 1..=3 {
+        let (storage, _) = dense.write(&budget);
+        for n in 1..commits {
+            let writer = edit(&storage, &budget);
+            writer.put_brick([0, 0, 0], &[n; 512]).expect("puts");
+            writer.commit().expect("commits");
+        }
+        let whole = storage.to_vec();
+        let volume = open(storage, &budget).expect("opens");
+        let mut samples = vec![0; dense.raw.len()];
+        let domain = dense.spec.grid.domain;
+        volume.read_raw(domain, &mut samples).expect("reads");
+        for slots in [&[4096][..], &[8192], &[4096, 8192]] {
+            let mut damaged = whole.clone();
+            slots.iter().for_each(|&at| damaged[at + 100] ^= 1);
+            let storage = Arc::new(MemoryStorage::new(damaged));
+            let writer = edit(&storage, &budget);
+            writer.put_brick([1, 0, 0], &[77; 512]).expect("puts");
+            // The writer is killed: the tail is there, the commit is not.
+            drop(writer);
+            storage
+                .write_at(&[1; 77], storage.len().expect("length"))
+                .expect("writes");
+            let volume = open(storage.clone(), &budget).expect("opens");
+            let mut now = vec![0; samples.len()];
+            volume.read_raw(domain, &mut now).expect("reads");
+            assert!(now == samples, "{commits} commits, {slots:?}");
+            assert_eq!(volume.info().expect("info").generation, u64::from(commits));
+            let report = verify_in(storage, Path::new("test"), &budget).expect("verifies");
+            assert!(report.is_intact(), "{:?}", report.problems);
+        }
+    }
+}

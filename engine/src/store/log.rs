@@ -88,14 +88,25 @@ impl Log {
             file.seed,
             file.root,
         );
-        if !file.is_published {
-            // Found by walking the log: give it its superblock back, so that the other one, which is
-            // overwritten next, is not the only one.
-            let slot = superblock_at(file.root.generation);
-            log.write(&file.root.to_block(log.seed), slot)?;
-            log.sync("syncing a repaired superblock")?;
+        // A writer that was killed may have left what nobody synced.
+        log.sync("syncing what is there")?;
+        // A superblock that does not hold is made good before anything is appended: the next commit
+        // overwrites one of them, and with the other damaged nobody could tell whether what follows
+        // the last commit is a newer one that was lost.
+        let held = |generation: u64| file.superblocks[usize::from(generation.is_multiple_of(2))];
+        if held(file.root.generation) != Some(file.root) {
+            log.repair(&file.root)?;
+        }
+        if held(file.root.generation - 1).is_none() {
+            log.repair(&file.root_before()?)?;
         }
         Ok(log)
+    }
+
+    fn repair(&self, root: &Superblock) -> Result<()> {
+        let slot = superblock_at(root.generation);
+        self.write(&root.to_block(self.seed), slot)?;
+        self.sync("syncing a repaired superblock")
     }
 
     fn at(storage: Arc<dyn Storage>, path: PathBuf, seed: u32, root: Superblock) -> Log {

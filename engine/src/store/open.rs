@@ -29,8 +29,8 @@ pub(crate) struct Opened {
     pub(crate) seed: u32,
     pub(crate) root: Superblock,
     pub(crate) length: u64,
-    /// Whether the root has a superblock, not only a whole commit in the log.
-    pub(crate) is_published: bool,
+    /// The superblocks that hold, in their order in the file.
+    pub(crate) superblocks: [Option<Superblock>; 2],
     /// Features without which the file may be read, but not written.
     pub(crate) ro_compat: u64,
     /// What was not as it should be but did not matter, as phrases.
@@ -60,7 +60,7 @@ impl Opened {
             seed: seed_of(&id),
             root: Superblock::default(),
             length,
-            is_published: false,
+            superblocks: [None; 2],
             ro_compat,
             notes,
         };
@@ -81,7 +81,7 @@ impl Opened {
     /// A writer may be publishing meanwhile: a choice holds when both superblocks are whole, or are
     /// still the same afterwards.
     fn find_root(&mut self) -> Result<Superblock> {
-        let mut roots = self.superblocks()?;
+        let mut roots = self.read_superblocks()?;
         for _ in 1..OPEN_TRIES {
             // After them: what they point to is there.
             self.length = length_of(self.storage.as_ref(), &self.path)?;
@@ -89,7 +89,7 @@ impl Opened {
             if root.is_ok() && roots.iter().all(Option::is_some) {
                 return root;
             }
-            let again = self.superblocks()?;
+            let again = self.read_superblocks()?;
             if again == roots {
                 for slot in (0..2).filter(|&slot| roots[slot].is_none()) {
                     let offset = SUPERBLOCK_AT[slot];
@@ -103,7 +103,7 @@ impl Opened {
         Err(self.error(ErrorKind::Io, "the root changes faster than it can be read"))
     }
 
-    fn superblocks(&self) -> Result<[Option<Superblock>; 2]> {
+    fn read_superblocks(&self) -> Result<[Option<Superblock>; 2]> {
         let mut roots = [None; 2];
         for (root, offset) in roots.iter_mut().zip(SUPERBLOCK_AT) {
             let mut block = [0; SECTOR];
@@ -146,7 +146,7 @@ impl Opened {
                 last
             }
         };
-        self.is_published = roots.contains(&Some(root));
+        self.superblocks = roots;
         if root.generation == 0 {
             let kind = if self.length <= LOG_START {
                 ErrorKind::Truncated
@@ -228,6 +228,23 @@ impl Opened {
             })?;
         }
         Ok(())
+    }
+
+    /// The root before the newest, by its footer.
+    ///
+    /// # Errors
+    /// `Damaged` when a footer does not hold.
+    pub(crate) fn root_before(&self) -> Result<Superblock> {
+        let generation = self.root.generation.saturating_sub(1);
+        if generation == 0 {
+            return Ok(Superblock {
+                log_end: LOG_START,
+                ..Superblock::default()
+            });
+        }
+        let mut file = self.clone();
+        file.go_back(generation)?;
+        Ok(file.root)
     }
 
     fn footer_at(&self, offset: u64, generation: u64) -> Result<Footer> {

@@ -200,7 +200,7 @@ impl VolumeWriter {
                 ..Superblock::default()
             },
             length: 0,
-            is_published: true,
+            superblocks: [None; 2],
             ro_compat: 0,
             notes: Vec::new(),
         };
