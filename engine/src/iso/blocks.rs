@@ -143,10 +143,12 @@ impl Blocks {
         out.size = points.size().map(|n| n as usize);
         out.step = [1, nx, nx * ny];
         out.first = margin * (1 + nx + nx * ny);
-        out.values.clear();
         let known = wide.intersect(&self.samples);
-        let fill = if known == wide { 0.0 } else { f32::NAN };
-        out.values.resize(wide.count() as usize, fill);
+        if known != wide {
+            out.values.clear();
+        }
+        // What is not known is NaN; where all is known every value is overwritten.
+        out.values.resize(wide.count() as usize, f32::NAN);
         let start = wide.offset_of(known.min);
         let mut block = Samples {
             values: &mut out.values[start..],

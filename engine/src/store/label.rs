@@ -1,8 +1,7 @@
 //! One label of a volume as a mask.
 
-use super::codec::bit_at;
-use super::value::{bits_of, bits_of_raw, f64_of, key_of};
-use super::volume::{Run, Volume};
+use super::value::{bits_of, f64_of, key_of};
+use super::volume::Volume;
 use crate::error::Result;
 use crate::field::{Field, Range, Samples};
 use crate::lattice::{Box3, Grid};
@@ -52,22 +51,8 @@ impl Field for LabelField<'_> {
             };
             f32::from(u8::from(Some(bits) == self.bits))
         };
-        self.volume.gather(region, |[i, j, k], n, run| {
-            let values = &mut out.values[i + j * row + k * slice..][..n];
-            match run {
-                Run::Raw(raw) => {
-                    for (value, raw) in values.iter_mut().zip(raw.chunks_exact(sample.bytes())) {
-                        *value = wanted(bits_of_raw(sample, raw));
-                    }
-                }
-                Run::Bits(packed, first) => {
-                    values
-                        .iter_mut()
-                        .enumerate()
-                        .for_each(|(x, v)| *v = wanted(bit_at(packed, first + x).into()));
-                }
-                Run::Constant(bits) => values.fill(wanted(bits)),
-            }
+        self.volume.gather(region, |patch| {
+            patch.put_bits(sample, out.values, [row, slice], wanted);
         })
     }
 

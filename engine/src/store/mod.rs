@@ -34,6 +34,7 @@ mod measure;
 mod meta;
 mod open;
 mod page;
+mod patch;
 #[cfg(test)]
 mod reader_tests;
 mod record;

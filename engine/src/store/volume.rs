@@ -3,17 +3,18 @@
 
 use super::cache::{self, PageCache};
 use super::catalog::{Counts, Entry};
-use super::codec::{bit_at, decode};
+use super::codec::decode;
 use super::damage::{Damage, OnDamage, stand_in};
 use super::label::LabelField;
 use super::layout::{RECORD_HEADER, brick_bytes, record_bytes};
 use super::lod::{MAX_LEVELS, fits};
 use super::open::{Contents, Opened};
 use super::page::{FIRST_NODE, NODES, Page, PageRules, Slot, page_origin, slot_of};
+use super::patch::{Patch, Stored};
 use super::record::{RecordKind, Ref};
 use super::spec::{VolumeInfo, VolumeSpec, page_edge};
 use super::storage::{FileStorage, Storage};
-use super::value::{KeyRange, f32_of};
+use super::value::KeyRange;
 use super::verify::Problem;
 use super::writer::{info_of, rules_of};
 use crate::budget::{Budget, Permit};
@@ -59,16 +60,6 @@ struct Buffers {
     record: Vec<u8>,
     planes: Vec<u8>,
     _permit: Permit,
-}
-
-/// A run of samples along `i`, inside one brick.
-pub(super) enum Run<'a> {
-    /// Native little-endian samples.
-    Raw(&'a [u8]),
-    /// Packed bits from the given one.
-    Bits(&'a [u8], usize),
-    /// One value, as bits.
-    Constant(u32),
 }
 
 impl Volume {
@@ -310,21 +301,11 @@ impl Volume {
             )));
         }
         let [nx, ny, _] = region.size().map(|n| n as usize);
-        self.gather(region, |[i, j, k], n, run| {
-            let row = &mut out[(i + nx * (j + ny * k)) * width..][..n * width];
-            match run {
-                Run::Raw(raw) => row.copy_from_slice(raw),
-                Run::Bits(packed, first) => {
-                    row.iter_mut()
-                        .enumerate()
-                        .for_each(|(x, v)| *v = bit_at(packed, first + x));
-                }
-                Run::Constant(bits) => {
-                    let bytes = bits.to_le_bytes();
-                    row.chunks_exact_mut(width)
-                        .for_each(|v| v.copy_from_slice(&bytes[..width]));
-                }
-            }
+        let step = [nx, nx * ny];
+        self.gather(region, |patch| match width {
+            1 => patch.put(out, step, |[b]: [u8; 1]| b),
+            2 => patch.put(out.as_chunks_mut::<2>().0, step, |b| b),
+            _ => patch.put(out.as_chunks_mut::<4>().0, step, |b| b),
         })
     }
 
@@ -335,11 +316,7 @@ impl Volume {
     }
 
     /// Calls `put(position in the region, samples, run)` for runs that cover `region`.
-    pub(super) fn gather(
-        &self,
-        region: Box3,
-        mut put: impl FnMut([usize; 3], usize, Run<'_>),
-    ) -> Result<()> {
+    pub(super) fn gather(&self, region: Box3, mut put: impl FnMut(Patch<'_>)) -> Result<()> {
         let domain = self.spec.grid.domain;
         if region.is_empty() {
             return Ok(());
@@ -350,7 +327,6 @@ impl Volume {
             )));
         }
         let edge = self.spec.brick_edge;
-        let width = self.spec.sample.bytes();
         let local = |p: [i32; 3]| -> [u32; 3] {
             std::array::from_fn(|a| p[a].wrapping_sub(domain.min[a]) as u32)
         };
@@ -381,20 +357,18 @@ impl Volume {
                             }
                         },
                     };
-                    let e = edge as usize;
-                    for k in 0..n[2] {
-                        for j in 0..n[1] {
-                            let at = from[0] + e * (from[1] + j + e * (from[2] + k));
-                            let run = match &data {
-                                None => Run::Constant(constant),
-                                Some(bytes) if self.spec.sample == SampleType::Bit => {
-                                    Run::Bits(bytes, at)
-                                }
-                                Some(bytes) => Run::Raw(&bytes[at * width..][..n[0] * width]),
-                            };
-                            put([to[0], to[1] + j, to[2] + k], n[0], run);
-                        }
-                    }
+                    let samples = match &data {
+                        None => Stored::Constant(constant),
+                        Some(bytes) if self.spec.sample == SampleType::Bit => Stored::Bits(bytes),
+                        Some(bytes) => Stored::Raw(bytes),
+                    };
+                    put(Patch {
+                        to,
+                        size: n,
+                        from,
+                        edge: edge as usize,
+                        samples,
+                    });
                 }
             }
         }
@@ -687,19 +661,18 @@ impl Field for Volume {
 
     fn read(&self, region: Box3, out: &mut Samples<'_>) -> Result<()> {
         let sample = self.spec.sample;
-        let (row, slice) = (out.row, out.slice);
-        self.gather(region, |[i, j, k], n, run| {
-            let values = &mut out.values[i + j * row + k * slice..][..n];
-            match run {
-                Run::Raw(raw) => sample.to_f32(raw, values),
-                Run::Bits(packed, first) => {
-                    values
-                        .iter_mut()
-                        .enumerate()
-                        .for_each(|(x, v)| *v = f32::from(bit_at(packed, first + x)));
-                }
-                Run::Constant(bits) => values.fill(f32_of(sample, bits)),
+        let step = [out.row, out.slice];
+        let values = &mut *out.values;
+        self.gather(region, |patch| match sample {
+            SampleType::Bit | SampleType::U8 => {
+                patch.put(values, step, |[b]: [u8; 1]| f32::from(b));
             }
+            SampleType::I8 => patch.put(values, step, |[b]: [u8; 1]| f32::from(b as i8)),
+            SampleType::U16 => patch.put(values, step, |b| f32::from(u16::from_le_bytes(b))),
+            SampleType::I16 => patch.put(values, step, |b| f32::from(i16::from_le_bytes(b))),
+            SampleType::U32 => patch.put(values, step, |b| u32::from_le_bytes(b) as f32),
+            SampleType::I32 => patch.put(values, step, |b| i32::from_le_bytes(b) as f32),
+            SampleType::F32 => patch.put(values, step, f32::from_le_bytes),
         })
     }
 
