@@ -11,7 +11,7 @@ pub(crate) enum Level {
     /// AVX2, BMI, popcnt.
     #[cfg(target_arch = "x86_64")]
     Avx2,
-    /// AVX-512 F, BW, DQ and VL beside the former.
+    /// AVX-512 F, BW, DQ, VL and VPOPCNTDQ beside the former (Ice Lake, Zen 4 and later).
     #[cfg(target_arch = "x86_64")]
     Avx512,
 }
@@ -29,7 +29,8 @@ static AVAILABLE: LazyLock<Vec<Level>> = LazyLock::new(|| {
         let avx512 = is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512bw")
             && is_x86_feature_detected!("avx512dq")
-            && is_x86_feature_detected!("avx512vl");
+            && is_x86_feature_detected!("avx512vl")
+            && is_x86_feature_detected!("avx512vpopcntdq");
         if avx2 {
             levels.push(Level::Avx2);
         }

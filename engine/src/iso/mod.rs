@@ -4,6 +4,7 @@
 mod ambiguity;
 mod block;
 mod blocks;
+mod cells;
 mod cube;
 mod dispatch;
 mod exact;
@@ -12,10 +13,12 @@ mod inner;
 mod interior;
 mod numbering;
 mod place;
+mod scan;
 mod sweep;
 mod table;
 #[cfg(test)]
 mod tests;
+mod vertices;
 mod waist;
 mod walker;
 

@@ -69,6 +69,12 @@ impl Placement {
         t.clamp(self.min_t, 1.0 - self.min_t)
     }
 
+    /// Rows of the map from lattice to world.
+    #[inline(always)]
+    pub(super) fn rows(&self) -> &[[f64; 4]; 3] {
+        &self.map.rows
+    }
+
     /// World position of the lattice point (0, j, k).
     #[inline(always)]
     pub(super) fn row(&self, j: i32, k: i32) -> [f64; 3] {

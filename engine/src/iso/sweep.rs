@@ -4,7 +4,7 @@
 //! the blocks, by whichever thread completes the next one; writing is parallel again. Pieces are a
 //! fixed pool, so memory is bounded, and a thread that cannot go on numbering writes instead.
 
-use super::block::{Block, BlockOutput, BlockSamples, Style};
+use super::block::{Block, BlockOutput, BlockSamples, Style, TRIANGLES_SLACK};
 use super::blocks::{Blocks, Candidates};
 use super::extract::Stats;
 use super::numbering::Numbering;
@@ -355,7 +355,9 @@ impl Batch {
         piece
             .keys
             .reserve_exact(if style.keys { PIECE_VERTICES } else { 0 });
-        piece.triangles.reserve_exact(PIECE_TRIANGLES);
+        piece
+            .triangles
+            .reserve_exact(PIECE_TRIANGLES + TRIANGLES_SLACK);
         batch
     }
 
@@ -379,7 +381,7 @@ impl Batch {
         piece
             .keys
             .reserve_exact(if style.keys { vertices } else { 0 });
-        piece.triangles.reserve_exact(triangles);
+        piece.triangles.reserve_exact(triangles + TRIANGLES_SLACK);
         Ok(())
     }
 
@@ -397,7 +399,7 @@ impl Batch {
             piece.keys.shrink_to(PIECE_VERTICES);
             piece.ids.shrink_to(PIECE_VERTICES);
             piece.own.shrink_to(PIECE_VERTICES);
-            piece.triangles.shrink_to(PIECE_TRIANGLES);
+            piece.triangles.shrink_to(PIECE_TRIANGLES + TRIANGLES_SLACK);
             self.extra = None;
         }
         self.visited = 0;

@@ -21,6 +21,10 @@ pub(crate) const CENTRE: u8 = 12;
 /// Most triangles of a case: a fan around the longest loop.
 pub(crate) const TRIANGLES_MAX: usize = 12;
 
+/// Where the number of the vertex on an edge stands among the 16 that a cell has: the four x edges,
+/// the two y and two z edges at x, and from 8 on those at x + 1.
+pub(crate) const EDGE_LANE: [u8; 12] = [0, 1, 2, 3, 4, 12, 5, 13, 6, 14, 7, 15];
+
 /// What the surface looks like in one case. Fixed arrays: the mesher reads one per cell.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Entry {
@@ -28,9 +32,24 @@ pub(crate) struct Entry {
     triangles: [[u8; 3]; TRIANGLES_MAX],
     centre_length: u8,
     centre: [u8; 12],
+    lanes: [u8; 16],
 }
 
 impl Entry {
+    /// The corners of the triangles by [`EDGE_LANE`], for entries of at most five triangles and no
+    /// vertex inside.
+    #[inline(always)]
+    pub(crate) fn lanes(&self) -> &[u8; 16] {
+        &self.lanes
+    }
+
+    fn fill_lanes(&mut self) {
+        let corners = self.triangles.as_flattened();
+        for (lane, &edge) in self.lanes.iter_mut().zip(&corners[..15]) {
+            *lane = EDGE_LANE.get(usize::from(edge)).copied().unwrap_or(0);
+        }
+    }
+
     /// Triangles, counter-clockwise seen from the outside of the solid.
     #[inline(always)]
     pub(crate) fn triangles(&self) -> &[[u8; 3]] {
@@ -59,6 +78,8 @@ pub(crate) struct Table {
     pub(crate) undecided: [u8; 256],
     /// Triangles of a mask that tells the case.
     pub(crate) plain_triangles: [u8; 256],
+    /// Their corners, see [`Entry::lanes`].
+    pub(crate) plain_lanes: [[u8; 16]; 256],
     first: [u16; 256],
     entries: Vec<Entry>,
     /// Cases with a tunnel; they are numbered after the entries.
@@ -86,12 +107,6 @@ impl Table {
             0 => first,
             faces => first + u16::from(gather_bits(joined, faces)),
         }
-    }
-
-    /// The entry of a mask that tells the case.
-    #[inline(always)]
-    pub(crate) fn plain(&self, mask: usize) -> &Entry {
-        &self.entries[usize::from(self.first[mask])]
     }
 
     /// The entry of a number, or its tunnel.
@@ -152,6 +167,7 @@ fn build() -> Table {
         ambiguous: [0; 256],
         undecided: [0; 256],
         plain_triangles: [0; 256],
+        plain_lanes: [[0; 16]; 256],
         first: [0; 256],
         entries: Vec::new(),
         tunnels: Vec::new(),
@@ -163,7 +179,8 @@ fn build() -> Table {
         table.ambiguous[m] = faces;
         table.first[m] = table.entries.len() as u16;
         for rank in 0..1u8 << faces.count_ones() {
-            let entry = triangulate(&loops(mask, scatter_bits(rank, faces)));
+            let mut entry = triangulate(&loops(mask, scatter_bits(rank, faces)));
+            entry.fill_lanes();
             table.entries.push(entry);
         }
     }
@@ -175,7 +192,9 @@ fn build() -> Table {
             faces => faces,
         };
         if table.undecided[mask] == 0 {
-            table.plain_triangles[mask] = table.entries[usize::from(first)].count;
+            let entry = &table.entries[usize::from(first)];
+            table.plain_triangles[mask] = entry.count;
+            table.plain_lanes[mask] = entry.lanes;
         }
     }
     table

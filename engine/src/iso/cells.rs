@@ -1,0 +1,181 @@
+//! The triangles of the active cells of a block.
+
+use super::ambiguity::offsets;
+use super::block::{
+    Block, BlockOutput, BlockSamples, MASK_SHIFT, Style, TRIANGLES_SLACK, below, corner_values,
+};
+use super::inner::Cell;
+use super::table::{EDGE_LANE, TABLE};
+use crate::mesh::{EdgeKey, Piece};
+
+/// What numbers the vertices around a row of cells: crossed edges and first number, of the four
+/// rows of x edges (y, z), (y+1, z), (y, z+1), (y+1, z+1), of the rows of y edges at z and z + 1, and
+/// of the rows of z edges at y and y + 1.
+#[repr(align(64))]
+pub(super) struct RowNumbers {
+    pub(super) crossed: [u64; 8],
+    pub(super) base: [u32; 8],
+}
+
+impl RowNumbers {
+    #[inline(always)]
+    fn new(block: &Block, row: usize, ny: usize, first: u32) -> Self {
+        let [x, y, z] = &block.crossed;
+        let [bx, by, bz] = &block.base;
+        let (a, b, c, d) = (row, row + 1, row + ny, row + ny + 1);
+        Self {
+            crossed: [x[a], x[b], x[c], x[d], y[a], y[c], z[a], z[b]],
+            base: [
+                first + bx[a],
+                first + bx[b],
+                first + bx[c],
+                first + bx[d],
+                first + by[a],
+                first + by[c],
+                first + bz[a],
+                first + bz[b],
+            ],
+        }
+    }
+
+    /// Numbers of the vertices around cell `x`, by [`EDGE_LANE`]: of the edges at x, then of those
+    /// at x + 1. Those of edges that are not crossed mean nothing.
+    #[inline(always)]
+    pub(super) fn of_cell(&self, x: u32) -> [u32; 16] {
+        let low = below(x);
+        let mut ids = [0; 16];
+        for i in 0..8 {
+            let rank = self.base[i] + (self.crossed[i] & low).count_ones();
+            ids[i] = rank;
+            // The edge at x + 1 follows the one at x where that is crossed.
+            ids[8 + i] = rank + (self.crossed[i] >> x & 1) as u32;
+        }
+        ids
+    }
+}
+
+/// Writes the corners of the (at most five) triangles that `lanes` names.
+#[inline(always)]
+pub(super) fn write_triangles(numbers: &RowNumbers, x: u32, lanes: &[u8; 16], out: &mut [u32; 16]) {
+    let ids = numbers.of_cell(x);
+    for (corner, &lane) in out.iter_mut().zip(lanes) {
+        *corner = ids[usize::from(lane & 15)];
+    }
+}
+
+impl Block {
+    #[inline(always)]
+    pub(super) fn emit_triangles(
+        &self,
+        samples: &BlockSamples,
+        style: &Style,
+        piece: &mut Piece,
+        out: &mut BlockOutput,
+        write: impl Fn(&RowNumbers, u32, &[u8; 16], &mut [u32; 16]),
+    ) {
+        let table = &*TABLE;
+        let ny = samples.size[1];
+        let before = piece.triangles.len();
+        let room = before + self.triangles_max + TRIANGLES_SLACK;
+        piece.triangles.resize(room, [0; 3]);
+        let mut written = before;
+        let mut decided = self.decided.iter();
+        let mut from = 0;
+        for &(row, end) in &self.active {
+            let row = row as usize;
+            let numbers = RowNumbers::new(self, row, ny, out.first);
+            for &code in &self.cells[from..end as usize] {
+                let x = code & 255;
+                let mask = (code >> MASK_SHIFT) as usize & 255;
+                let (mut lanes, mut count) =
+                    (&table.plain_lanes[mask], table.plain_triangles[mask]);
+                if table.undecided[mask] != 0 {
+                    out.ambiguous_faces += u64::from(table.ambiguous[mask].count_ones());
+                    let number = *decided.next().expect("scanned");
+                    match table.case(number) {
+                        Ok(entry) if entry.centre().is_empty() && entry.triangles().len() <= 5 => {
+                            (lanes, count) = (entry.lanes(), entry.triangles().len() as u8);
+                        }
+                        _ => {
+                            let cell = [x as usize, row % ny, row / ny];
+                            let ids = numbers.of_cell(x);
+                            let had = piece.positions.len();
+                            written =
+                                emit_inner(samples, style, cell, number, &ids, piece, written);
+                            out.interior_vertices += (piece.positions.len() - had) as u64;
+                            continue;
+                        }
+                    }
+                }
+                let corners = piece.triangles[written..].as_flattened_mut();
+                let corners = corners
+                    .first_chunk_mut()
+                    .expect("room for a cell and slack");
+                write(&numbers, x, lanes, corners);
+                written += usize::from(count);
+            }
+            from = end as usize;
+        }
+        piece.triangles.truncate(written);
+        if style.placement.mirrored {
+            piece.triangles[before..]
+                .iter_mut()
+                .for_each(|t| t.swap(1, 2));
+        }
+    }
+}
+
+/// The vertices and triangles of a cell that has vertices inside, or many triangles.
+#[cold]
+#[inline(never)]
+fn emit_inner(
+    samples: &BlockSamples,
+    style: &Style,
+    cell: [usize; 3],
+    number: u16,
+    ids: &[u32; 16],
+    piece: &mut Piece,
+    mut written: usize,
+) -> usize {
+    let values = corner_values(samples, cell);
+    let frame = Cell {
+        values: &values,
+        offsets: offsets(&values, style.iso, style.inside),
+        iso: style.iso,
+        placement: &style.placement,
+    };
+    let mut points = Vec::new();
+    let triangles = match TABLE.case(number) {
+        Ok(entry) if entry.centre().is_empty() => entry.triangles(),
+        Ok(entry) => {
+            points.push(frame.centre(entry.centre()));
+            entry.triangles()
+        }
+        Err(tunnel) => {
+            frame.waist(tunnel, &mut points);
+            &tunnel.triangles
+        }
+    };
+    let first = piece.positions.len() as u32;
+    let point = std::array::from_fn(|a| samples.origin[a] + cell[a] as i32);
+    for (axis, at) in (3..).zip(points) {
+        piece.own.push(piece.positions.len() as u32);
+        piece.positions.push(style.placement.in_cell(point, at));
+        if style.normals {
+            let gradient = frame.interpolate(at).1;
+            let normal = style.placement.normal(gradient, style.inside);
+            piece.normals.push(normal.unwrap_or([0.0, 0.0, 1.0]));
+        }
+        if style.keys {
+            piece.keys.push(EdgeKey { point, axis });
+        }
+    }
+    for t in triangles {
+        piece.triangles[written] = t.map(|v| match v {
+            0..12 => ids[usize::from(EDGE_LANE[usize::from(v)])],
+            _ => first + u32::from(v) - 12,
+        });
+        written += 1;
+    }
+    written
+}
