@@ -84,7 +84,7 @@ fn info_verify_check_and_slice_say_what_is_there() {
     let info = ok(&scratch, "info @a.bvol --json").json();
     assert!(info.to_string().contains("distance"), "{info}");
     ok(&scratch, "verify @a.bvol -q");
-    let mesh = ok(&scratch, "mesh @a.bvol @m.ply --json -q").json();
+    let mesh = ok(&scratch, "mesh @a.bvol @m.ply --measure --json -q").json();
     let number = |v: &serde_json::Value, key: &str| {
         v[key].as_f64().unwrap_or_else(|| panic!("{key} in {v}"))
     };

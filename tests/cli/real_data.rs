@@ -38,7 +38,7 @@ fn real_scans_give_closed_outward_meshes() {
         brickmarch(words(&scratch, &import)).success();
         let run = brickmarch(words(
             &scratch,
-            &format!("mesh @v.bvol @m.ply {surface} --mem 64MiB --json -q"),
+            &format!("mesh @v.bvol @m.ply {surface} --mem 64MiB --measure --json -q"),
         ))
         .success();
         let mesh = run.json();

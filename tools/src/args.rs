@@ -294,6 +294,9 @@ pub(crate) struct Mesh {
     /// Which side of the isovalue is inside [default: below for a distance, above otherwise]
     #[arg(long, value_enum)]
     pub inside: Option<InsideMode>,
+    /// Measure the surface while it is made: area, volume, and whether it is closed
+    #[arg(long)]
+    pub measure: bool,
     /// Write unit normals, from the gradient of the samples
     #[arg(long)]
     pub normals: bool,

@@ -58,13 +58,10 @@ impl Patch<'_> {
                     }
                     Stored::Raw(raw) => {
                         let raw = raw[at * W..][..nx * W].as_chunks::<W>().0;
-                        // The usual length of a row as a constant: a handful of vector moves.
+                        // Whole arrays of the usual length: a handful of vector moves.
                         match (values.first_chunk_mut::<16>(), raw.first_chunk::<16>()) {
                             (Some(values), Some(raw)) if nx == 16 => {
-                                values
-                                    .iter_mut()
-                                    .zip(raw)
-                                    .for_each(|(v, b)| *v = convert(*b));
+                                *values = std::array::from_fn(|x| convert(raw[x]));
                             }
                             _ => values
                                 .iter_mut()

@@ -156,7 +156,7 @@ impl Part {
             "plain_bytes": self.plain_bytes, "mesh_bytes": self.mesh_bytes,
             "peak_rss_bytes": self.peak_bytes, "sound": self.sound, "truth": self.truth,
         });
-        add_figures(&mut json, &self.stats, &self.figures);
+        add_figures(&mut json, &self.stats, Some(&self.figures));
         json
     }
 }
@@ -375,27 +375,29 @@ fn draw_mesh(
     let mut raster = Raster::new(&look, &bounds, budget)?;
     let count = || count_work(volume, options, budget);
     let ((stats, figures), seconds) = out.counted_step("mesh", count, || {
-        let made = pass(
+        let (stats, figures) = pass(
             volume,
             options,
             budget,
             file.as_mut(),
             wanted,
             Some(&mut raster),
+            true,
         )
         .map_err(named(&[path]))?;
+        let figures = figures.expect("asked to measure");
         let text = format!(
             "{} triangles, {} vertices, {}, {}",
-            thousands(made.0.triangles),
-            thousands(made.0.vertices),
-            if made.1.closed {
+            thousands(stats.triangles),
+            thousands(stats.vertices),
+            if figures.closed {
                 "closed and oriented"
             } else {
                 "OPEN"
             },
             file_text(path),
         );
-        Ok((made, text))
+        Ok(((stats, figures), text))
     })?;
     Ok(Drawn {
         raster,

@@ -53,13 +53,16 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
         picture_bytes,
     } = made;
     let text = format!(
-        "{}: {} triangles, {} vertices, {}, area {:.6}, volume {:.6}, {}, {}, peak {}\n",
+        "{}: {} triangles, {} vertices{}, {}, {}, peak {}\n",
         args.out.display(),
         thousands(stats.triangles),
         thousands(stats.vertices),
-        if figures.closed { "closed" } else { "open" },
-        figures.area,
-        figures.volume,
+        figures.map_or(String::new(), |f| format!(
+            ", {}, area {:.6}, volume {:.6}",
+            if f.closed { "closed" } else { "open" },
+            f.area,
+            f.volume
+        )),
         human_bytes(bytes_out.unwrap_or(0)),
         seconds(took),
         Job::peak_text(),
@@ -73,7 +76,7 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
         "bytes_in": bytes_in, "bytes_out": bytes_out,
         "picture": args.shot.picture, "picture_bytes": picture_bytes,
     });
-    add_figures(&mut json, &stats, &figures);
+    add_figures(&mut json, &stats, figures.as_ref());
     job.result(&text, &json)?;
     Ok(
         match pick::report_substituted(&volume, &args.volume, &job) {
@@ -83,16 +86,20 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
     )
 }
 
-/// Counts and measures of a mesh, for programs.
-pub(super) fn add_figures(json: &mut Value, stats: &Stats, figures: &Figures) {
-    let more = json!({
+/// Counts of a mesh, and measures where they were taken, for programs.
+pub(super) fn add_figures(json: &mut Value, stats: &Stats, figures: Option<&Figures>) {
+    let mut more = json!({
         "vertices": stats.vertices, "triangles": stats.triangles,
         "interior_vertices": stats.interior_vertices, "active_cells": stats.active_cells,
         "ambiguous_faces": stats.ambiguous_faces, "blocks_visited": stats.blocks_visited,
         "blocks_decoded": stats.blocks_decoded, "front_bytes_max": stats.front_bytes_max,
-        "closed": figures.closed, "euler": figures.euler,
-        "area": figures.area, "signed_volume": figures.volume,
     });
+    if let Some(figures) = figures {
+        more["closed"] = json!(figures.closed);
+        more["euler"] = json!(figures.euler);
+        more["area"] = json!(figures.area);
+        more["signed_volume"] = json!(figures.volume);
+    }
     if let (Some(to), Value::Object(from)) = (json.as_object_mut(), more) {
         to.extend(from);
     }
@@ -180,7 +187,7 @@ fn cells(args: &Mesh, field: &dyn Field) -> Result<Option<Box3>> {
 /// A mesh that was written.
 struct Made {
     stats: Stats,
-    figures: Figures,
+    figures: Option<Figures>,
     picture_bytes: Option<u64>,
 }
 
@@ -203,7 +210,15 @@ fn make(
     let (stats, figures) = {
         let _watch = job.watch_counted("meshing", || count_work(field, options, &job.budget))?;
         let raster = raster.as_mut().map(|r| r as &mut dyn MeshSink);
-        pass(field, options, &job.budget, file.as_mut(), wanted, raster)?
+        pass(
+            field,
+            options,
+            &job.budget,
+            file.as_mut(),
+            wanted,
+            raster,
+            args.measure,
+        )?
     };
     let mut picture_bytes = None;
     if let (Some(raster), Some(path)) = (raster, &args.shot.picture) {
@@ -217,7 +232,7 @@ fn make(
     })
 }
 
-/// Extracts into a file, a tally, and a picture if there is one, in one pass.
+/// Extracts into a file, a tally if `measure`, and a picture if there is one, in one pass.
 ///
 /// # Errors
 /// What extraction and the sinks report.
@@ -228,7 +243,8 @@ pub(super) fn pass(
     file: &mut dyn MeshSink,
     wanted: Layout,
     raster: Option<&mut dyn MeshSink>,
-) -> Result<(Stats, Figures)> {
+    measure: bool,
+) -> Result<(Stats, Option<Figures>)> {
     let mut tally = Tally::default();
     let all = Layout {
         normals: true,
@@ -236,13 +252,15 @@ pub(super) fn pass(
     };
     let mut tee = Tee::default();
     tee.add(file, wanted);
-    tee.add(&mut tally, all);
+    if measure {
+        tee.add(&mut tally, all);
+    }
     if let Some(raster) = raster {
         tee.add(raster, all);
     }
     let stats = extract(field, options, budget, &mut tee)?;
     drop(tee);
-    Ok((stats, tally.figures()))
+    Ok((stats, measure.then(|| tally.figures())))
 }
 
 fn open_raster(
