@@ -1,5 +1,6 @@
 //! File formats: volumes in ([`open_volume`]) and out, meshes in and out.
 
+mod append;
 mod aside;
 mod export;
 mod input;

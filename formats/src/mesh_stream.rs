@@ -6,11 +6,11 @@
 //! vertices is known only at the end; until then triangles wait in a nameless scratch file in the
 //! same folder. On disk the peak is the finished file plus its triangles once more.
 
+use crate::append::append;
 use crate::aside::{Aside, write_all_at};
 use brickmarch::mesh::{Layout, MeshSink, Piece, Totals};
 use brickmarch::{Error, ErrorKind, Result};
 use std::fs::File;
-use std::io::{Seek, SeekFrom};
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Mutex;
@@ -238,22 +238,18 @@ impl<E: Encode> MeshSink for Stream<E> {
         assert_eq!(header.len() as u64, self.shape.header, "size of the header");
         write_all_at(aside.file(), &header, 0)
             .map_err(|e| Error::io(path, "writing the header", e))?;
-        if let Some(mut scratch) = scratch {
+        if let Some(scratch) = scratch {
             let end = place(self.shape.header, totals.vertices, self.shape.vertex);
-            end.and_then(|end| append(&mut scratch, aside.file(), end))
-                .map_err(|e| Error::io(path, "appending the triangles", e))?;
+            // As many threads as have written.
+            let threads = self.buffers.get_mut().expect("no writer panicked").len();
+            end.and_then(|end| {
+                let length = place(0, totals.triangles, self.shape.triangle)?;
+                append(&scratch, length, aside.file(), end, threads)
+            })
+            .map_err(|e| Error::io(path, "appending the triangles", e))?;
         }
         aside.commit()
     }
-}
-
-/// Copies the whole of `scratch` to `file` from `offset` on; in the kernel where it can.
-fn append(scratch: &mut File, file: &File, offset: u64) -> std::io::Result<()> {
-    let mut file = file;
-    scratch.seek(SeekFrom::Start(0))?;
-    file.seek(SeekFrom::Start(offset))?;
-    std::io::copy(scratch, &mut file)?;
-    Ok(())
 }
 
 fn finished() -> Error {

@@ -172,16 +172,25 @@ mod x86 {
     #[inline]
     fn mask_avx512(row: &[f32], iso: f32, inside: Inside) -> u64 {
         let limit = _mm512_set1_ps(iso);
+        let within = |values: __m512| match inside {
+            Inside::Above => _mm512_cmp_ps_mask::<_CMP_GE_OQ>(values, limit),
+            Inside::Below => _mm512_cmp_ps_mask::<_CMP_LT_OQ>(values, limit),
+        };
+        let (runs, rest) = row.as_chunks::<16>();
         let mut mask = 0;
-        for (i, run) in row.chunks(16).enumerate() {
-            let present = ((1u32 << run.len()) - 1) as u16;
-            // SAFETY: only the lanes that `run` has are read.
-            let values = unsafe { _mm512_maskz_loadu_ps(present, run.as_ptr()) };
-            let within = match inside {
-                Inside::Above => _mm512_cmp_ps_mask::<_CMP_GE_OQ>(values, limit),
-                Inside::Below => _mm512_cmp_ps_mask::<_CMP_LT_OQ>(values, limit),
-            };
-            mask |= u64::from(within & present) << (16 * i);
+        for (i, run) in runs.iter().enumerate() {
+            // SAFETY: `run` is 16 floats.
+            let values = unsafe { _mm512_loadu_ps(run.as_ptr()) };
+            mask |= u64::from(within(values)) << (16 * i);
+        }
+        let present = ((1u32 << rest.len()) - 1) as u16;
+        if let [one] = rest {
+            // The usual rest: a row of a block has one point more than cells.
+            mask |= u64::from(inside.contains(*one, iso)) << (16 * runs.len());
+        } else if present != 0 {
+            // SAFETY: only the lanes that `rest` has are read.
+            let values = unsafe { _mm512_maskz_loadu_ps(present, rest.as_ptr()) };
+            mask |= u64::from(within(values) & present) << (16 * runs.len());
         }
         mask
     }
@@ -236,10 +245,13 @@ mod x86 {
     #[inline]
     fn list_edges_avx512(first: u32, mut mask: u64, out: &mut Vec<u32>) {
         let mut codes = _mm512_add_epi32(iota(), _mm512_set1_epi32(first as i32));
-        while mask != 0 {
+        loop {
             push_lanes(codes, mask as u16, out);
-            codes = _mm512_add_epi32(codes, _mm512_set1_epi32(16));
             mask >>= 16;
+            if mask == 0 {
+                break;
+            }
+            codes = _mm512_add_epi32(codes, _mm512_set1_epi32(16));
         }
     }
 

@@ -115,10 +115,9 @@ impl Block {
                     continue;
                 }
                 let first = (y as u32) << Y_SHIFT | (z as u32) << Z_SHIFT;
+                // A row that is crossed is mostly crossed along every axis: not asked, to save the branch.
                 for (axis, row) in rows.into_iter().enumerate() {
-                    if row != 0 {
-                        list_edges(first | (axis as u32) << AXIS_SHIFT, row, &mut codes);
-                    }
+                    list_edges(first | (axis as u32) << AXIS_SHIFT, row, &mut codes);
                 }
             }
         }
