@@ -4,6 +4,7 @@ mod analytic;
 mod checker;
 pub(crate) mod compare;
 mod laws;
+mod normals;
 mod oracle;
 mod seeds;
 mod tiles;
