@@ -6,6 +6,7 @@ mod changed;
 mod crash;
 mod damage;
 mod disk;
+mod far;
 mod faults;
 mod golden;
 mod handmade;

@@ -10,7 +10,7 @@ use crate::budget::Budget;
 use crate::error::{Error, ErrorKind, Result};
 use crate::field::Field;
 use crate::lattice::{Affine, Box3};
-use crate::mesh::{Layout, MeshSink};
+use crate::mesh::{Layout, MeshSink, Totals};
 use crate::sample::Inside;
 
 /// What happens where the surface leaves the meshed region.
@@ -102,6 +102,17 @@ pub fn extract(
     budget: &Budget,
     sink: &mut dyn MeshSink,
 ) -> Result<Stats> {
+    extract_from(Totals::default(), field, options, budget, sink)
+}
+
+/// [`extract`] with the numbers of vertices and triangles going on from `first`.
+pub(super) fn extract_from(
+    first: Totals,
+    field: &dyn Field,
+    options: &Extract,
+    budget: &Budget,
+    sink: &mut dyn MeshSink,
+) -> Result<Stats> {
     if options.iso.is_nan() {
         return Err(Error::bad_input("the isovalue is not a number"));
     }
@@ -129,16 +140,16 @@ pub fn extract(
         keys: options.keys,
     })?;
     let (mut stats, totals) = if walking {
-        walk(field, blocks, style, &options.seeds, budget, sink)?
+        walk(field, blocks, style, &options.seeds, first, budget, sink)?
     } else {
-        sweep(field, blocks, style, budget, sink)?
+        sweep(field, blocks, style, first, budget, sink)?
     };
-    if totals.triangles == 0 && !options.allow_empty {
+    if totals == first && !options.allow_empty {
         return Err(empty(field, options, inside)?);
     }
     sink.finish(totals)?;
-    stats.vertices = totals.vertices;
-    stats.triangles = totals.triangles;
+    stats.vertices = totals.vertices - first.vertices;
+    stats.triangles = totals.triangles - first.triangles;
     stats.blocks_decoded = field.blocks_decoded() - decoded;
     Ok(stats)
 }

@@ -21,6 +21,14 @@ pub(super) struct Numbering {
 }
 
 impl Numbering {
+    /// Numbers that go on from `first`.
+    pub(super) fn from(first: Totals) -> Self {
+        Self {
+            totals: first,
+            ..Self::default()
+        }
+    }
+
     /// Starts the numbers of a piece.
     pub(super) fn start(&self, piece: &mut Piece) {
         piece.first_vertex = self.totals.vertices;

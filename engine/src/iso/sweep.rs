@@ -106,6 +106,7 @@ pub(super) fn sweep(
     field: &dyn Field,
     blocks: Blocks,
     style: Style,
+    first: Totals,
     budget: &Budget,
     sink: &dyn MeshSink,
 ) -> Result<(Stats, Totals)> {
@@ -125,7 +126,7 @@ pub(super) fn sweep(
         limits,
         candidates: Mutex::new(Candidates::new(field, blocks, style.iso, style.inside)),
         state: Mutex::new(State {
-            numbering: Numbering::default(),
+            numbering: Numbering::from(first),
             stats: Stats::default(),
             waiting: BTreeMap::new(),
             numbered: Vec::new(),

@@ -1,5 +1,6 @@
 //! Extraction as a whole, on small fields.
 
+use super::extract::extract_from;
 use super::{Boundary, Extract, extract};
 use crate::field::Dense;
 use crate::mesh::{Collect, Count, EdgeKey, Layout, MeshSink, Piece, Totals};
@@ -488,4 +489,66 @@ fn nonsense_is_refused_in_words() {
         small.expect_err("too small").kind(),
         ErrorKind::BudgetExceeded
     );
+}
+
+/// Takes numbers that begin at `first` and hands them on from 0.
+struct Renumber {
+    first: Totals,
+    inner: Collect,
+}
+
+impl MeshSink for Renumber {
+    fn begin(&mut self, layout: Layout) -> Result<()> {
+        self.inner.begin(layout)
+    }
+
+    fn write(&self, piece: &Piece) -> Result<()> {
+        let mut piece = piece.clone();
+        piece.first_vertex -= self.first.vertices;
+        piece.first_triangle -= self.first.triangles;
+        // Local vertices that no triangle uses have no number.
+        for id in piece.ids.iter_mut().filter(|id| **id != u64::MAX) {
+            *id -= self.first.vertices;
+        }
+        self.inner.write(&piece)
+    }
+
+    fn finish(&mut self, totals: Totals) -> Result<()> {
+        self.inner.finish(Totals {
+            vertices: totals.vertices - self.first.vertices,
+            triangles: totals.triangles - self.first.triangles,
+        })
+    }
+}
+
+#[test]
+fn numbers_of_vertices_cross_2_to_the_31_and_32() {
+    let field = dense(Box3::from_size([40, 40, 40]), 8, |p| {
+        p.map(|v| (v as f32 - 19.7).powi(2)).iter().sum::<f32>() - 200.0
+    });
+    for seeds in [vec![], vec![[5, 19, 19]]] {
+        let options = Extract {
+            seeds,
+            normals: true,
+            ..Extract::default()
+        };
+        let plain = run(&field, &options, 1);
+        let count = plain.positions.len() as u64;
+        assert!(count > 1000);
+        for bits in [31, 32, 40] {
+            for threads in [1, 2] {
+                // The limit lies in the middle of the mesh, on faces between blocks too.
+                let first = Totals {
+                    vertices: (1 << bits) - count / 2,
+                    triangles: (1 << bits) - count,
+                };
+                let inner = Collect::default();
+                let mut sink = Renumber { first, inner };
+                let budget = Budget::mib(64).with_threads(threads);
+                let stats = extract_from(first, &field, &options, &budget, &mut sink);
+                assert_eq!(stats.expect("meshes").vertices, count);
+                assert_eq!(sink.inner.into_mesh(), plain, "2^{bits}, {threads} threads");
+            }
+        }
+    }
 }

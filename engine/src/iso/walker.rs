@@ -51,6 +51,7 @@ pub(super) fn walk(
     blocks: Blocks,
     style: Style,
     seeds: &[[i32; 3]],
+    first: Totals,
     budget: &Budget,
     sink: &dyn MeshSink,
 ) -> Result<(Stats, Totals)> {
@@ -61,7 +62,7 @@ pub(super) fn walk(
         budget,
         front: HashMap::new(),
         pending: BTreeMap::new(),
-        totals: Totals::default(),
+        totals: first,
         stats: Stats::default(),
         memory: budget.take(0, "the front")?,
     };

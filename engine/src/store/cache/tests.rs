@@ -1,10 +1,14 @@
+use super::pages::Slot;
 use super::*;
+use crate::budget::Budget;
+use crate::error::{Error, ErrorKind};
 use proptest::prelude::*;
 use std::cell::Cell;
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Barrier;
-use std::sync::atomic::{AtomicBool, AtomicUsize};
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize};
 
 const OVERHEAD: u64 = ENTRY_OVERHEAD_BYTES;
 
