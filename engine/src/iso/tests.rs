@@ -506,9 +506,13 @@ impl MeshSink for Renumber {
         let mut piece = piece.clone();
         piece.first_vertex -= self.first.vertices;
         piece.first_triangle -= self.first.triangles;
-        // Local vertices that no triangle uses have no number.
-        for id in piece.ids.iter_mut().filter(|id| **id != u64::MAX) {
-            *id -= self.first.vertices;
+        for t in 0..piece.triangles.len() {
+            let ids = piece.triangle_ids(t);
+            assert!(ids.iter().all(|&id| id >= self.first.vertices), "{ids:?}");
+        }
+        // Local vertices that no triangle uses have any number.
+        for id in &mut piece.ids {
+            *id = id.saturating_sub(self.first.vertices);
         }
         self.inner.write(&piece)
     }
