@@ -4,6 +4,7 @@
 //! or [`write_field`], opened as [`Volume`] (which is a [`Field`](crate::Field)), and checked whole
 //! by [`verify`].
 
+mod ahead;
 mod aside;
 pub mod cache;
 mod catalog;
@@ -29,6 +30,7 @@ mod label;
 mod layout;
 mod lod;
 mod log;
+mod map;
 #[cfg(test)]
 mod measure;
 mod meta;

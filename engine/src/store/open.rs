@@ -1,6 +1,7 @@
 //! From bytes to the root of the newest generation. Nothing here writes, so a crash in the middle of
 //! a recovery is harmless; an older generation is never shown in place of a damaged newer one.
 
+use super::ahead::Ahead;
 use super::catalog::{self, Counts, Entry};
 use super::layout::*;
 use super::meta;
@@ -75,7 +76,12 @@ impl Opened {
     fn read_at(&self, buffer: &mut [u8], offset: u64, what: &str) -> Result<()> {
         self.storage
             .read_at(buffer, offset)
-            .map_err(|e| Error::io(&self.path, &format!("reading {what} at offset {offset}"), e))
+            .map_err(|e| self.read_error(e, what, offset))
+    }
+
+    fn read_error(&self, error: std::io::Error, what: &str, offset: u64) -> Error {
+        let doing = format!("reading {what} at offset {offset}");
+        Error::io(&self.path, &doing, error)
     }
 
     /// A writer may be publishing meanwhile: a choice holds when both superblocks are whole, or are
@@ -355,6 +361,19 @@ impl Opened {
         place: &dyn Fn() -> String,
         buffer: &mut Vec<u8>,
     ) -> Result<Head> {
+        self.read_record_ahead(reference, kind, volume, place, buffer, &mut None)
+    }
+
+    /// [`read_record`](Self::read_record), for somebody who reads many.
+    pub(crate) fn read_record_ahead(
+        &self,
+        reference: &Ref,
+        kind: RecordKind,
+        volume: u16,
+        place: &dyn Fn() -> String,
+        buffer: &mut Vec<u8>,
+        ahead: &mut Option<Ahead>,
+    ) -> Result<Head> {
         let damaged = |what: String| {
             self.error(
                 ErrorKind::Damaged,
@@ -378,7 +397,17 @@ impl Opened {
             )));
         }
         buffer.resize(whole as usize, 0);
-        self.read_at(buffer, reference.offset, kind.name())?;
+        match ahead {
+            Some(ahead) => ahead
+                .read(
+                    self.storage.as_ref(),
+                    buffer,
+                    reference.offset,
+                    self.root.log_end,
+                )
+                .map_err(|e| self.read_error(e, kind.name(), reference.offset))?,
+            None => self.read_at(buffer, reference.offset, kind.name())?,
+        }
         let (head, payload) = record::open(buffer, self.seed).map_err(&damaged)?;
         if get_u32(buffer, RECORD_CRC) != reference.crc
             || payload.len() != reference.length as usize

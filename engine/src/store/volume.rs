@@ -1,6 +1,7 @@
 //! An open volume file: finds bricks through the octree, decodes them into the cache, gathers rows
 //! out of them, and answers ranges without touching a brick.
 
+use super::ahead::{AHEAD_BYTES, Ahead};
 use super::cache::{self, PageCache};
 use super::catalog::{Counts, Entry};
 use super::codec::decode;
@@ -59,6 +60,7 @@ pub struct Volume {
 struct Buffers {
     record: Vec<u8>,
     planes: Vec<u8>,
+    ahead: Option<Ahead>,
     _permit: Permit,
 }
 
@@ -467,13 +469,14 @@ impl Volume {
         }
         let bytes = u64::from(self.rules.brick_bytes);
         let permit = self.budget.take(
-            record_bytes(self.rules.brick_bytes) + bytes,
+            record_bytes(self.rules.brick_bytes) + bytes + AHEAD_BYTES as u64,
             "decoding a brick",
         )?;
         Ok(Buffers {
             // Never grown: growth by doubling would go beyond the permit.
             record: Vec::with_capacity(record_bytes(self.rules.brick_bytes) as usize),
             planes: Vec::with_capacity(bytes as usize),
+            ahead: Some(Ahead::default()),
             _permit: permit,
         })
     }
@@ -486,12 +489,13 @@ impl Volume {
         out: &mut [u8],
     ) -> Result<()> {
         let place = || format!("{brick:?} (samples {})", self.spec.brick_box(brick));
-        let head = self.file.read_record(
+        let head = self.file.read_record_ahead(
             &reference,
             RecordKind::Brick,
             self.number,
             &place,
             &mut buffers.record,
+            &mut buffers.ahead,
         )?;
         if head.key != morton_encode(brick) || head.level != 0 || head.decoded as usize != out.len()
         {
