@@ -97,6 +97,114 @@ def unmorton(code):
     return [sum((code >> 3 * b + a & 1) << b for b in range(21)) for a in range(3)]
 
 
+class Rows:
+    """A brick of codec 6. Takes (s, k, j) as in the document: stripe, slice, row."""
+
+    def __init__(self, stored, edge):
+        need(len(stored) >= 16, "codec 6: start")
+        self.clip = np.frombuffer(stored[:8], "<f4")
+        masks, widths = struct.unpack_from("<2I", stored, 8)
+        need(16 + masks + widths <= len(stored), "codec 6: lengths")
+        self.masks, rest = stored[16 : 16 + masks], stored[16 + masks :]
+        self.widths, self.words = rest[:widths], rest[widths:]
+        self.edge, self.lanes = edge, min(edge, 16)
+        groups = edge * edge * edge // self.lanes
+        need(masks == 0 or masks >= groups // 4, "codec 6: codes")
+        self.codes, self.more = self.masks[: groups // 4], self.masks[groups // 4 :]
+        self.group = 0
+
+    def take(self, name, n):
+        data = getattr(self, name)
+        need(len(data) >= n, f"codec 6: {name}")
+        setattr(self, name, data[n:])
+        return data[:n]
+
+    def states(self, above, behind):
+        """Per sample of the next group: 0 and 1 the clip values, 2 active."""
+        if not self.masks:
+            return np.full(self.lanes, 2)
+        code = self.codes[self.group // 4] >> self.group % 4 * 2 & 3
+        self.group += 1
+        if code < 2:
+            return behind if code else above
+        lane = np.arange(self.lanes)
+        if code == 2:
+            (word,) = struct.unpack("<H", self.take("more", 2))
+            first, end = word & 31, word >> 5 & 31
+            need(first <= end <= self.lanes and word < 4096, "codec 6: interval")
+            sides = np.where(lane < first, word >> 10 & 1, word >> 11 & 1)
+            return np.where((lane >= first) & (lane < end), 2, sides)
+        active, high = struct.unpack("<2H", self.take("more", 4))
+        need(active & high == 0 and (active | high) >> self.lanes == 0, "codec 6: masks")
+        return np.where(active >> lane & 1, 2, high >> lane & 1)
+
+    def residuals(self, lanes, out):
+        if not lanes.any():
+            return
+        width, count = self.take("widths", 1)[0], int(lanes.sum())
+        need(width <= 26 or width in (28, 32), "codec 6: width")
+        bits = int.from_bytes(self.take("words", (count * width + 7) // 8), "little")
+        out[lanes] = [bits >> n * width & (1 << width) - 1 for n in range(count)]
+
+    def brick(self):
+        out = np.empty((self.edge,) * 3, np.float32)
+        with np.errstate(all="ignore"):
+            for i in range(0, self.edge, self.lanes):
+                self.stripe(out[:, :, i : i + self.lanes])
+        need(not self.more and not self.widths and not self.words, "codec 6: bytes are left over")
+        return out
+
+    def stripe(self, out):
+        # Three rows and slices before the brick: not active, low.
+        state = np.zeros((self.edge + 3, self.edge + 3, self.lanes), int)
+        known = np.full(state.shape, np.nan, np.float32)
+        for k in range(self.edge):
+            for j in range(self.edge):
+                s = lambda dj, dk: state[k + 3 - dk, j + 3 - dj]
+                f = lambda dj, dk: known[k + 3 - dk, j + 3 - dj]
+                here = self.states(s(1, 0), s(0, 1))
+                state[k + 3, j + 3] = here
+                active = here == 2
+                out[k, j] = self.clip[np.minimum(here, 1)]
+                if not active.any():
+                    continue
+                has = lambda *places: np.all([s(*p) == 2 for p in places], axis=0)
+                good = has((1, 0), (2, 0), (3, 0)) | has((0, 1), (0, 2), (0, 3))
+                good |= has((1, 0), (0, 1), (1, 1), (2, 0), (2, 1))
+                good |= has((1, 0), (0, 1), (1, 1), (0, 2), (1, 2))
+                words = np.zeros(self.lanes, np.uint32)
+                self.residuals(active & good, words)
+                self.residuals(active & ~good, words)
+                last = out[k, j - 1] if j else out[k - 1, j] if k else np.float32(0)
+                two, three = np.float32(2), np.float32(3)
+                a1, a2, b1, b2, c = f(1, 0), f(2, 0), f(0, 1), f(0, 2), f(1, 1)
+                y, z = two * a1 - a2, two * b1 - b2
+                m = lambda d: f(0, d) - (two * f(1, d) - f(2, d))
+                guess = y + (two * m(1) - m(2))
+                for weaker in (
+                    y + m(1),
+                    z + (a1 - (two * c - f(1, 2))),
+                    three * (a1 - a2) + f(3, 0),
+                    three * (b1 - b2) + f(0, 3),
+                    (a1 + b1) - c,
+                    y,
+                    z,
+                    a1,
+                    b1,
+                    last,
+                    np.float32(0),
+                ):
+                    guess = np.where(np.isnan(guess), weaker, guess).astype(np.float32)
+                bits, sign = guess.view(np.uint32), np.uint32(0x80000000)
+                key = bits ^ np.where(bits & sign, np.uint32(0xFFFFFFFF), sign)
+                one = np.uint32(1)
+                key = key + ((words >> one) ^ (np.uint32(0) - (words & one)))
+                bits = key ^ np.where(key & sign, sign, np.uint32(0xFFFFFFFF))
+                # As integers: no NaN may change its bits.
+                out[k, j].view(np.uint32)[active] = bits[active]
+                known[k + 3, j + 3].view(np.uint32)[active] = bits[active]
+
+
 class Reader:
     def __init__(self, data, name=None, level=0):
         self.data = data
@@ -124,7 +232,7 @@ class Reader:
             need(self.record_at(12288) is not None, "header copy")
         major, _, length, incompat = struct.unpack_from("<HHIQ", header, 8)
         need(major == 1, f"format version {major}")
-        need(incompat == 0, f"unknown features {incompat:#x}")
+        need(incompat & ~8 == 0, f"unknown features {incompat:#x}")
         need(length == 4096, "header length")
         return crc32c(header[40:56])
 
@@ -318,7 +426,10 @@ class Reader:
             if self.sample == "bit":
                 raw = np.unpackbits(np.frombuffer(raw, "u1"), bitorder="little").tobytes()
             return np.frombuffer(raw, self.dtype).reshape((self.edge,) * 3)
-        need(codec <= 5 and self.sample != "bit", f"codec {codec}")
+        need(codec <= 6 and self.sample != "bit", f"codec {codec}")
+        need(codec < 5 or self.sample == "f32", f"codec {codec} of other samples than f32")
+        if codec == 6:
+            return Rows(stored, self.edge).brick()
         lengths = struct.unpack_from(f"<{width}I", stored)
         at, words = 4 * width, np.zeros(count, np.uint64)
         for b, n in enumerate(lengths):

@@ -168,6 +168,24 @@ pub(crate) fn all() -> Vec<Small> {
                 spec.brick_edge = 32;
             },
         ),
+        // A band between two clip values, with samples that no prediction meets.
+        make(
+            "f32_rows",
+            F32,
+            Kind::Distance,
+            &[Smooth; 6],
+            |spec, raw| {
+                spec.brick_edge = 16;
+                for (n, bytes) in raw.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+                    let band = f32::from_le_bytes(*bytes).clamp(-812_500.0, -500_000.0);
+                    *bytes = match n % 1009 {
+                        501 => f32::NAN.to_le_bytes(),
+                        502 => (-0f32).to_le_bytes(),
+                        _ => band.to_le_bytes(),
+                    };
+                }
+            },
+        ),
         make("bit_edge_64", Bit, Kind::Mask, &[Few, Noise], |spec, _| {
             spec.brick_edge = 64;
         }),

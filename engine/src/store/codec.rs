@@ -3,10 +3,11 @@
 //!
 //! Codec numbers (byte 5 of a record): 0 samples as they are; 1 one LZ4 block; from 2 on byte planes
 //! of a [`Filter`]: one u32 per plane with its stored length, then the planes, each as it is (stored
-//! length = plane length) or as an LZ4 block (shorter).
+//! length = plane length) or as an LZ4 block (shorter); 6 is [`rows`].
 
 use super::filter::{self, Filter};
 use super::layout::{brick_bytes, get_u32};
+use super::rows::{self, RowsEncoder};
 use crate::sample::SampleType;
 use lz4_flex::block::{
     CompressTable, compress_into_with_table, decompress_into, get_maximum_output_size,
@@ -16,6 +17,8 @@ use lz4_flex::block::{
 pub(crate) const CODEC_RAW: u8 = 0;
 /// One LZ4 block.
 pub(crate) const CODEC_LZ4: u8 = 1;
+/// Rows of f32 with masks and packed residuals.
+pub(crate) const CODEC_ROWS: u8 = 6;
 const FIRST_FILTER: u8 = 2;
 const FILTERS: [Filter; 4] = [
     Filter::Planes,
@@ -29,12 +32,13 @@ const FILTERS: [Filter; 4] = [
 const SMALL_INPUT: usize = u16::MAX as usize;
 
 /// The codecs worth a try for a type, cheapest decoder first.
-fn candidates(sample: SampleType) -> &'static [u8] {
+fn candidates(sample: SampleType, rows: bool) -> &'static [u8] {
     match sample {
         SampleType::Bit => &[CODEC_LZ4],
         SampleType::U8 | SampleType::I8 => &[CODEC_LZ4, 3, 4],
         SampleType::U16 | SampleType::I16 => &[CODEC_LZ4, 2, 4],
         SampleType::U32 | SampleType::I32 => &[CODEC_LZ4, 2, 3, 4],
+        SampleType::F32 if rows => &[CODEC_LZ4, 2, CODEC_ROWS, 4, 5],
         SampleType::F32 => &[CODEC_LZ4, 2, 4, 5],
     }
 }
@@ -42,7 +46,7 @@ fn candidates(sample: SampleType) -> &'static [u8] {
 /// Bytes that [`Encoder`] holds for bricks of this kind, with its output.
 pub(crate) fn encoder_bytes(sample: SampleType, edge: u32) -> u64 {
     let n = brick_bytes(sample, edge) as u64;
-    4 * n + (64 << 10)
+    6 * n + (64 << 10)
 }
 
 /// Compresses bricks; holds its working buffers.
@@ -50,6 +54,7 @@ pub(crate) struct Encoder {
     planes: Vec<u8>,
     packed: Vec<u8>,
     trial: Vec<u8>,
+    rows: RowsEncoder,
     small: CompressTable,
     large: CompressTable,
 }
@@ -60,6 +65,7 @@ impl Default for Encoder {
             planes: Vec::new(),
             packed: Vec::new(),
             trial: Vec::new(),
+            rows: RowsEncoder::default(),
             small: CompressTable::small(),
             large: CompressTable::large(),
         }
@@ -68,7 +74,8 @@ impl Default for Encoder {
 
 impl Encoder {
     /// Appends the stored form of a brick to `out` and gives its codec. `bytes` is the brick as
-    /// decoded (bits packed); the stored form is never longer.
+    /// decoded (bits packed); the stored form is never longer. `rows`: the file says that it may
+    /// hold bricks of codec 6.
     ///
     /// # Panics
     /// When `bytes` is not a whole brick.
@@ -77,11 +84,20 @@ impl Encoder {
         sample: SampleType,
         edge: u32,
         bytes: &[u8],
+        rows: bool,
         out: &mut Vec<u8>,
     ) -> u8 {
         assert_eq!(bytes.len(), brick_bytes(sample, edge), "a whole brick");
-        let codec = self.choose(sample, edge, bytes);
         let start = out.len();
+        if rows && sample == SampleType::F32 {
+            // Nearly always the smallest for what it is made for, and cheaper than to try others.
+            self.rows.encode(edge, bytes, out);
+            if (out.len() - start) * 8 <= bytes.len() * 5 && !is_coarse(bytes) {
+                return CODEC_ROWS;
+            }
+            out.truncate(start);
+        }
+        let codec = self.choose(sample, edge, bytes, rows);
         self.encode_as(codec, sample, edge, bytes, out);
         if out.len() - start < bytes.len() {
             return codec;
@@ -92,8 +108,8 @@ impl Encoder {
     }
 
     /// Tries the candidates on a few slices in the middle.
-    fn choose(&mut self, sample: SampleType, edge: u32, bytes: &[u8]) -> u8 {
-        let candidates = candidates(sample);
+    fn choose(&mut self, sample: SampleType, edge: u32, bytes: &[u8], rows: bool) -> u8 {
+        let candidates = candidates(sample, rows);
         if let [only] = candidates {
             return *only;
         }
@@ -130,6 +146,7 @@ impl Encoder {
                 let n = self.pack(bytes, None);
                 out.extend_from_slice(&self.packed[..n]);
             }
+            CODEC_ROWS => self.rows.encode(edge, bytes, out),
             _ => {
                 let width = sample.bytes();
                 let mut planes = std::mem::take(&mut self.planes);
@@ -196,6 +213,12 @@ fn looks_random(bytes: &[u8]) -> bool {
     squares < SOME as u32 * 4
 }
 
+/// Whether f32 samples have few digits (whole numbers, labels, converted bytes): matches of LZ4 may
+/// then say more than predictions.
+fn is_coarse(bytes: &[u8]) -> bool {
+    bytes.as_chunks::<4>().0.iter().fold(0, |any, s| any | s[0]) == 0
+}
+
 /// Decodes a stored brick into `out`, which has exactly the length of the brick; `scratch` is
 /// working space. Fails on any stream that does not decode to exactly that length.
 ///
@@ -219,6 +242,8 @@ pub(crate) fn decode(
         }
         CODEC_RAW => Err("stored length differs from the brick's"),
         CODEC_LZ4 => unpack(stored, out),
+        CODEC_ROWS if sample == SampleType::F32 => rows::decode(stored, edge, out),
+        CODEC_ROWS => Err("the codec does not fit the sample type"),
         _ => decode_planes(codec, stored, sample, edge, out, scratch),
     }
 }
@@ -363,7 +388,7 @@ mod tests {
     fn codecs(sample: SampleType) -> Vec<u8> {
         let last = match sample {
             SampleType::Bit => 1,
-            SampleType::F32 => 5,
+            SampleType::F32 => CODEC_ROWS,
             _ => 4,
         };
         (0..=last).collect()
@@ -377,7 +402,7 @@ mod tests {
             for edge in [8, 16, 32] {
                 for brick in bricks(sample, edge) {
                     stored.clear();
-                    let codec = encoder.encode(sample, edge, &brick, &mut stored);
+                    let codec = encoder.encode(sample, edge, &brick, true, &mut stored);
                     assert!(stored.len() <= brick.len());
                     let mut back = vec![0xaa; brick.len()];
                     decode(codec, &stored, sample, edge, &mut back, &mut scratch).expect("decodes");
@@ -397,16 +422,32 @@ mod tests {
     }
 
     #[test]
+    fn codec_rows_only_where_the_file_allows_them() {
+        let mut encoder = Encoder::default();
+        let mut chosen = Vec::new();
+        for brick in bricks(SampleType::F32, 16) {
+            let mut encode =
+                |rows| encoder.encode(SampleType::F32, 16, &brick, rows, &mut Vec::new());
+            assert_ne!(encode(false), CODEC_ROWS);
+            chosen.push(encode(true));
+        }
+        assert_eq!(chosen[0], CODEC_ROWS, "smooth: {chosen:?}");
+    }
+
+    #[test]
     fn codec_bytes_do_not_depend_on_what_came_before() {
         let brick = &bricks(SampleType::F32, 32)[0];
         let encode = |encoder: &mut Encoder| {
             let mut out = Vec::new();
-            (encoder.encode(SampleType::F32, 32, brick, &mut out), out)
+            (
+                encoder.encode(SampleType::F32, 32, brick, true, &mut out),
+                out,
+            )
         };
         let fresh = encode(&mut Encoder::default());
         let mut used = Encoder::default();
         for other in bricks(SampleType::U32, 64) {
-            used.encode(SampleType::U32, 64, &other, &mut Vec::new());
+            used.encode(SampleType::U32, 64, &other, true, &mut Vec::new());
         }
         assert!(encode(&mut used) == fresh);
     }
@@ -433,12 +474,14 @@ mod tests {
                 stored.push(0);
                 assert!(decode(codec, &stored, sample, 8, &mut out, &mut scratch).is_err());
             }
-            for codec in 6..=255 {
+            for codec in CODEC_ROWS + 1..=255 {
                 assert!(decode(codec, brick, sample, 8, &mut out, &mut scratch).is_err());
             }
         }
         let mut out = vec![0; brick_bytes(SampleType::I16, 8)];
-        assert!(decode(5, &[0; 16], SampleType::I16, 8, &mut out, &mut scratch).is_err());
+        for codec in [5, CODEC_ROWS] {
+            assert!(decode(codec, &[0; 16], SampleType::I16, 8, &mut out, &mut scratch).is_err());
+        }
     }
 
     /// Damage gives an error or some value, never a panic; checksums are the record's business.
@@ -459,7 +502,9 @@ mod tests {
                     assert_eq!(out.len(), brick.len());
                 }
                 if codec >= FIRST_FILTER {
-                    stored[..4].fill(0xff);
+                    // Length of the first plane, or of the masks.
+                    let at = if codec == CODEC_ROWS { 8 } else { 0 };
+                    stored[at..at + 4].fill(0xff);
                     assert!(decode(codec, &stored, sample, 8, &mut out, &mut scratch).is_err());
                 }
             }

@@ -58,14 +58,15 @@ macro_rules! words {
 }
 words!(u8, i8; u16, i16; u32, i32);
 
+/// Bits of a key of [`f32_key`].
 #[inline(always)]
-fn f32_unkey(key: u32) -> u32 {
+pub(crate) fn f32_unkey(key: u32) -> u32 {
     key ^ ((!((key as i32) >> 31) as u32) | 0x8000_0000)
 }
 
 /// `[f(0), f(1), ...]`; unlike `array::map` it is always inlined into code for newer instructions.
 #[inline(always)]
-fn build<const E: usize, T: Copy + Default>(f: impl Fn(usize) -> T) -> [T; E] {
+pub(crate) fn build<const E: usize, T: Copy + Default>(f: impl Fn(usize) -> T) -> [T; E] {
     let mut out = [T::default(); E];
     for (i, value) in out.iter_mut().enumerate() {
         *value = f(i);

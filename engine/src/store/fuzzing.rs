@@ -54,7 +54,7 @@ pub fn brick(how: [u8; 2], stored: &[u8]) {
         *byte = *value;
     }
     let (mut packed, mut back) = (Vec::new(), vec![0; out.len()]);
-    let codec = Encoder::default().encode(sample, 8, &out, &mut packed);
+    let codec = Encoder::default().encode(sample, 8, &out, true, &mut packed);
     decode(codec, &packed, sample, 8, &mut back, &mut scratch).expect("its own output");
     assert!(back == out, "the brick changed");
 }

@@ -70,8 +70,11 @@ const _: () = assert!(HEADER_END <= HEADER_CRC);
 /// Bits of the `ro_compat` word that this version understands (none yet).
 pub(crate) const KNOWN_RO_COMPAT: u64 = 0;
 
-/// Bits of the `incompat` word that this version understands (none yet).
-pub(crate) const KNOWN_INCOMPAT: u64 = 0;
+/// `incompat`: f32 bricks may have codec 6.
+pub(crate) const INCOMPAT_ROWS: u64 = 1 << 3;
+
+/// Bits of the `incompat` word that this version understands.
+pub(crate) const KNOWN_INCOMPAT: u64 = INCOMPAT_ROWS;
 
 /// Names of feature bits that are planned, so that an old reader can name what it lacks.
 pub(crate) fn incompat_name(bit: u32) -> &'static str {
@@ -79,6 +82,7 @@ pub(crate) fn incompat_name(bit: u32) -> &'static str {
         0 => "zstd bricks",
         1 => "chunks of several bricks",
         2 => "more than one channel",
+        3 => "f32 bricks of predicted rows",
         _ => "unnamed",
     }
 }

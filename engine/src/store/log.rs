@@ -62,6 +62,7 @@ impl Log {
         storage: Arc<dyn Storage>,
         path: PathBuf,
         file_id: &[u8; FILE_ID_BYTES],
+        incompat: u64,
     ) -> Result<Log> {
         let seed = seed_of(file_id);
         let root = Superblock {
@@ -69,7 +70,7 @@ impl Log {
             ..Superblock::default()
         };
         let log = Log::at(storage, path, seed, root);
-        let header = header_block(file_id);
+        let header = header_block(file_id, incompat);
         log.write(&header, 0)?;
         // Slot A stays empty until the first commit: an invalid superblock.
         log.write(&[0; SECTOR], superblock_at(1))?;

@@ -28,7 +28,7 @@ fn shared(name: &str) -> Option<Vec<u8>> {
     std::fs::read(data.join("volumes").join(name)).ok()
 }
 
-/// Bricks of a dense cube of samples.
+/// Bricks of a dense cube of samples, those of one value left out: they are not stored.
 fn bricks(sample: SampleType, raw: &[u8], size: [usize; 3], edge: usize) -> Vec<Vec<u8>> {
     let w = sample.bytes();
     let counts = size.map(|n| n / edge);
@@ -47,7 +47,9 @@ fn bricks(sample: SampleType, raw: &[u8], size: [usize; 3], edge: usize) -> Vec<
                 brick.extend_from_slice(&raw[at..][..edge * w]);
             }
         }
-        all.push(brick);
+        if brick.chunks(w).any(|sample| sample != &brick[..w]) {
+            all.push(brick);
+        }
     }
     all
 }
@@ -75,6 +77,38 @@ fn measure_codecs() {
         dense(32.0),
         [n; 3],
     ));
+    // What a 1024^3 level set holds: 8 periods, half-width 3, in f32 as brickmarch-data-gen makes it;
+    // and a part of a sphere of radius 409.6, in f64.
+    let (sin, cos): (Vec<f32>, Vec<f32>) =
+        (0..n).map(|v| (v as f32 * TAU / 128.0).sin_cos()).unzip();
+    let band = |n: usize, value: &dyn Fn([usize; 3]) -> f32, width: f32| -> Vec<u8> {
+        let points = (0..n * n * n).map(|i| [i % n, i / n % n, i / n / n]);
+        let values = points.map(|p| value(p).clamp(-width, width));
+        values.flat_map(f32::to_le_bytes).collect()
+    };
+    let slope = |[x, y, z]: [usize; 3]| {
+        let f = (sin[x] * cos[y] + sin[y] * cos[z]) + sin[z] * cos[x];
+        let gx = cos[x] * cos[y] - sin[z] * sin[x];
+        let gy = cos[y] * cos[z] - sin[x] * sin[y];
+        let gz = cos[z] * cos[x] - sin[y] * sin[z];
+        f / (TAU / 128.0 * (gx * gx + gy * gy + gz * gz).sqrt()).max(1e-12)
+    };
+    let sphere = |[x, y, z]: [usize; 3]| {
+        let square = |v: usize, first: f64| (v as f64 + first).powi(2);
+        ((square(x, 160.5) + square(y, 96.5) + square(z, 128.5)).sqrt() - 409.6) as f32
+    };
+    for (name, size, value, width) in [
+        (
+            "level set gyroid",
+            n,
+            &slope as &dyn Fn([usize; 3]) -> f32,
+            3.0,
+        ),
+        ("level set sphere", 256, &sphere, 3.0),
+        ("distance to a sphere", n, &sphere, f32::MAX),
+    ] {
+        inputs.push((name, SampleType::F32, band(size, value, width), [size; 3]));
+    }
     if let Some(bytes) = shared("tooth.raw") {
         let raw = bytes
             .as_chunks::<2>()
@@ -94,12 +128,12 @@ fn measure_codecs() {
             let mut encoder = Encoder::default();
             let mut scratch = Vec::new();
             let mut out = vec![0; brick_bytes(*sample, edge)];
-            for codec in [None, Some(1), Some(2), Some(3), Some(4), Some(5)] {
-                if codec == Some(5) && *sample != SampleType::F32 {
+            for codec in [None, Some(1), Some(2), Some(3), Some(4), Some(5), Some(6)] {
+                if codec >= Some(5) && *sample != SampleType::F32 {
                     continue;
                 }
                 let (mut encode_s, mut decode_s, mut stored_bytes) = (f64::MAX, f64::MAX, 0);
-                let mut chosen = [0usize; 6];
+                let mut chosen = [0usize; 7];
                 for _ in 0..3 {
                     let start = Instant::now();
                     let stored: Vec<(u8, Vec<u8>)> = bricks
@@ -107,7 +141,7 @@ fn measure_codecs() {
                         .map(|brick| {
                             let mut stored = Vec::new();
                             let used = match codec {
-                                None => encoder.encode(*sample, edge, brick, &mut stored),
+                                None => encoder.encode(*sample, edge, brick, true, &mut stored),
                                 Some(codec) => {
                                     encoder.encode_as(codec, *sample, edge, brick, &mut stored);
                                     codec

@@ -40,6 +40,7 @@ mod patch;
 #[cfg(test)]
 mod reader_tests;
 mod record;
+mod rows;
 mod spec;
 mod storage;
 #[cfg(test)]

@@ -32,6 +32,8 @@ pub(crate) struct Opened {
     pub(crate) length: u64,
     /// The superblocks that hold, in their order in the file.
     pub(crate) superblocks: [Option<Superblock>; 2],
+    /// Features without which the file may not be read, all known.
+    pub(crate) incompat: u64,
     /// Features without which the file may be read, but not written.
     pub(crate) ro_compat: u64,
     /// What was not as it should be but did not matter, as phrases.
@@ -54,7 +56,7 @@ impl Opened {
     pub(crate) fn open(storage: Arc<dyn Storage>, path: &Path) -> Result<Opened> {
         let length = length_of(storage.as_ref(), path)?;
         let mut notes = Vec::new();
-        let (id, ro_compat) = find_id(storage.as_ref(), path, length, &mut notes)?;
+        let (id, incompat, ro_compat) = find_id(storage.as_ref(), path, length, &mut notes)?;
         let mut opened = Opened {
             storage,
             path: path.into(),
@@ -62,6 +64,7 @@ impl Opened {
             root: Superblock::default(),
             length,
             superblocks: [None; 2],
+            incompat,
             ro_compat,
             notes,
         };
@@ -592,13 +595,13 @@ fn length_of(storage: &dyn Storage, path: &Path) -> Result<u64> {
         .map_err(|e| Error::io(path, "asking for the length", e))
 }
 
-/// File id and `ro_compat` word, from the header or from its copy in the log.
+/// File id and the words of features that must be known, from the header or from its copy in the log.
 fn find_id(
     storage: &dyn Storage,
     path: &Path,
     length: u64,
     notes: &mut Vec<String>,
-) -> Result<([u8; FILE_ID_BYTES], u64)> {
+) -> Result<([u8; FILE_ID_BYTES], u64, u64)> {
     let read = |offset: u64, bytes: usize| -> Result<Vec<u8>> {
         let mut block = vec![0; bytes];
         if offset + bytes as u64 <= length {
@@ -610,7 +613,7 @@ fn find_id(
     };
     let header = read(0, SECTOR)?;
     let error = match parse_header(&header) {
-        Ok(id) => return Ok((id, get_u64(&header, HEADER_RO_COMPAT))),
+        Ok(id) => return Ok(with_features(id, &header)),
         Err(error) => error,
     };
     if error.kind() != ErrorKind::Newer {
@@ -619,7 +622,7 @@ fn find_id(
             && record::open(&copy, seed_of(&id)).is_ok()
         {
             notes.push("the file header is damaged; its copy was used".into());
-            return Ok((id, get_u64(&copy[RECORD_HEADER..], HEADER_RO_COMPAT)));
+            return Ok(with_features(id, &copy[RECORD_HEADER..]));
         }
     }
     let mut start = vec![0; MAGIC.len().min(length as usize)];
@@ -636,4 +639,10 @@ fn find_id(
         ));
     }
     Err(error.context(path.display()))
+}
+
+/// An id with the words of features that must be known: to read, and to write.
+fn with_features(id: [u8; FILE_ID_BYTES], header: &[u8]) -> ([u8; FILE_ID_BYTES], u64, u64) {
+    let incompat = get_u64(header, HEADER_INCOMPAT);
+    (id, incompat, get_u64(header, HEADER_RO_COMPAT))
 }

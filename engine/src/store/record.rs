@@ -187,13 +187,14 @@ pub(crate) fn open(record: &[u8], seed: u32) -> Result<(Head, &[u8]), String> {
     ))
 }
 
-/// The start of a file with this id.
-pub(crate) fn header_block(file_id: &[u8; FILE_ID_BYTES]) -> Vec<u8> {
+/// The start of a file with this id and these features.
+pub(crate) fn header_block(file_id: &[u8; FILE_ID_BYTES], incompat: u64) -> Vec<u8> {
     let mut block = vec![0; SECTOR];
     block[HEADER_MAGIC..HEADER_MAGIC + MAGIC.len()].copy_from_slice(&MAGIC);
     put_u16(&mut block, HEADER_MAJOR, MAJOR);
     put_u16(&mut block, HEADER_MINOR, MINOR);
     put_u32(&mut block, HEADER_LENGTH, SECTOR as u32);
+    put_u64(&mut block, HEADER_INCOMPAT, incompat);
     block[HEADER_FILE_ID..HEADER_FILE_ID + FILE_ID_BYTES].copy_from_slice(file_id);
     let crc = crc32c::crc32c(&block[..HEADER_CRC]);
     put_u32(&mut block, HEADER_CRC, crc);
@@ -419,7 +420,7 @@ mod tests {
 
     #[test]
     fn header_names_what_it_lacks() {
-        let block = header_block(&[7; 16]);
+        let block = header_block(&[7; 16], KNOWN_INCOMPAT);
         assert_eq!(parse_header(&block).expect("own header"), [7; 16]);
         let changed = |at: usize, value: u8| {
             let mut block = block.clone();

@@ -6,7 +6,8 @@ use super::codec::encoder_bytes;
 use super::commit::{Saved, SavedPart};
 use super::encode::{Batch, BrickEncoder, Encoded};
 use super::layout::{
-    FILE_ID_BYTES, KNOWN_RO_COMPAT, LOG_START, MAX_VOLUMES, brick_bytes, record_bytes,
+    FILE_ID_BYTES, INCOMPAT_ROWS, KNOWN_RO_COMPAT, LOG_START, MAX_VOLUMES, brick_bytes,
+    record_bytes,
 };
 use super::log::Log;
 use super::open::{Contents, Opened};
@@ -57,6 +58,8 @@ pub struct VolumeWriter {
     /// Puts share it, a commit has it alone.
     pub(super) gate: RwLock<()>,
     pub(super) replace: bool,
+    /// Whether f32 bricks may have codec 6: said in the header of the file, once and for ever.
+    pub(super) rows: bool,
     writer: u64,
     /// Whether the next commit makes a sealed file.
     pub(super) sealed: bool,
@@ -190,7 +193,10 @@ impl VolumeWriter {
     ) -> Result<Self> {
         let place = aside.as_ref().map_or(path, |a| a.path()).to_path_buf();
         let id = file_id(spec);
-        let log = Log::create(storage.clone(), place.clone(), &id)?;
+        // A file that starts with other samples stays readable without that codec.
+        let rows = spec.sample == SampleType::F32;
+        let incompat = if rows { INCOMPAT_ROWS } else { 0 };
+        let log = Log::create(storage.clone(), place.clone(), &id, incompat)?;
         let file = Opened {
             storage,
             path: place,
@@ -201,6 +207,7 @@ impl VolumeWriter {
             },
             length: 0,
             superblocks: [None; 2],
+            incompat,
             ro_compat: 0,
             notes: Vec::new(),
         };
@@ -213,6 +220,7 @@ impl VolumeWriter {
             }),
             gate: RwLock::default(),
             replace: false,
+            rows,
             // Nobody else knows a file that has no name yet.
             writer: 0,
             sealed: false,
@@ -262,6 +270,7 @@ impl VolumeWriter {
             });
         }
         Ok(Self {
+            rows: file.incompat & INCOMPAT_ROWS != 0,
             log: Log::open(&file)?,
             parts,
             saved: Mutex::new(Saved { file, parts: saved }),
