@@ -6,6 +6,7 @@
 mod ambiguous;
 mod brick_edge;
 mod kernel;
+mod region;
 
 fn main() {
     let filter = std::env::args()
@@ -14,6 +15,9 @@ fn main() {
         .unwrap_or_default();
     if "kernel".contains(&filter) {
         kernel::run();
+    }
+    if "region".contains(&filter) {
+        region::run();
     }
     if "ambiguous".contains(&filter) {
         ambiguous::run();
