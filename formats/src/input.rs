@@ -1,6 +1,7 @@
 //! A source file as a byte stream: plain, or gzip unwrapped on the fly.
 
 use crate::limits::{HEADER_BYTES_MAX, bad};
+use crate::volume::PlainSamples;
 use brickmarch::{Error, ErrorKind, Result};
 use flate2::bufread::GzDecoder;
 use std::fs::File;
@@ -93,6 +94,21 @@ impl Input {
     /// Bytes from here to the end; `None` where only reading can tell.
     pub(crate) fn remaining(&self) -> Option<u64> {
         self.length.map(|n| n.saturating_sub(self.position))
+    }
+
+    /// The file from here on, opened once more, where it is not compressed.
+    pub(crate) fn plain(&self) -> Result<Option<PlainSamples>> {
+        let Stream::Plain(stream) = &self.stream else {
+            return Ok(None);
+        };
+        let file = stream
+            .get_ref()
+            .try_clone()
+            .map_err(|e| Error::io(&self.path, "opening", e))?;
+        Ok(Some(PlainSamples {
+            file,
+            offset: self.position,
+        }))
     }
 
     fn seek_to(&mut self, position: u64) -> Result<()> {

@@ -38,7 +38,9 @@ pub use export::{Export, Exported, export_volume};
 pub use loaded::Loaded;
 pub use mesh_file::{create_mesh_sink, read_mesh};
 pub use raw::RawLayout;
-pub use volume::{FormatRow, OpenOptions, Source, VOLUME_FORMATS, VolumeFormat, open_volume};
+pub use volume::{
+    FormatRow, OpenOptions, PlainSamples, Source, VOLUME_FORMATS, VolumeFormat, open_volume,
+};
 
 /// The program of the front page, as a test.
 #[cfg(doctest)]

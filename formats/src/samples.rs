@@ -149,6 +149,17 @@ impl Encoding {
     }
 }
 
+impl Encoding {
+    /// Whether the stored bytes are the samples, little-endian, as they are.
+    pub(crate) fn is_plain(&self) -> bool {
+        let (stored, target) = (self.stored.bytes(), self.target());
+        self.scale.is_none()
+            && stored == target.bytes()
+            && target != SampleType::Bit
+            && (stored == 1 || !self.big_endian)
+    }
+}
+
 /// Yields exactly the samples of `domain` as little-endian [`Encoding::target`], `i` fastest.
 ///
 /// The end of the stream is looked at before the last samples are handed out, so that a checksum

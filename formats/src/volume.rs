@@ -8,6 +8,7 @@ use crate::{metaimage, nifti, npy, nrrd, raw};
 use brickmarch::lattice::Grid;
 use brickmarch::store::VolumeSpec;
 use brickmarch::{Kind, Result, SampleType};
+use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
@@ -27,11 +28,22 @@ pub struct Source {
     /// Exactly `grid.domain.count() * sample.bytes()` bytes: little-endian, `i` fastest, a bit as one
     /// byte. Damaged or short files end in an `io::Error` whose message names file and place.
     pub reader: Box<dyn Read + Send>,
+    /// Where those bytes stand as they are, for whoever wants to read them in another order.
+    pub plain: Option<PlainSamples>,
     /// One line: format, stored type, axes of the world. For the history of the volume.
     pub description: String,
     /// What a user should know about the conversion.
     pub notes: Vec<String>,
     late: LateNotes,
+}
+
+/// Samples in a file, exactly as [`Source::reader`] gives them.
+#[derive(Debug)]
+pub struct PlainSamples {
+    /// The file; its position means nothing.
+    pub file: File,
+    /// Offset of the first sample.
+    pub offset: u64,
 }
 
 /// What a file does not say, or says more than once.
@@ -161,6 +173,21 @@ impl Source {
             }
         }
         let (path, late) = (input.path.clone(), input.late.clone());
+        if let (true, Some(plain)) = (encoding.is_plain(), input.plain()?) {
+            let mut source = Source::from_stream(
+                Box::new(std::io::empty()),
+                &path,
+                &late,
+                encoding,
+                grid,
+                description,
+                notes,
+            )?;
+            // The length was checked: nothing can be missing but by a change of the file.
+            source.reader = Box::new(input.take(needed));
+            source.plain = Some(plain);
+            return Ok(source);
+        }
         // The length told already; nothing remains to be found out behind the samples.
         let surplus = if input.is_gzip() {
             encoding.surplus
@@ -211,6 +238,7 @@ impl Source {
                 .scale
                 .map_or(0.0, |(_, zero)| f64::from(zero as f32)),
             reader: Box::new(SampleReader::new(stream, path, late, encoding, grid.domain)),
+            plain: None,
             description,
             notes,
             late: late.clone(),

@@ -11,7 +11,7 @@ use super::writer::{VolumeWriter, take_lock};
 use crate::budget::{Budget, Permit, human_bytes};
 use crate::error::{Error, ErrorKind, Result};
 use crossbeam::channel::{Receiver, Sender, bounded};
-use std::fs::OpenOptions;
+use std::fs::{File, OpenOptions};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -74,11 +74,33 @@ pub fn import_with(
     options: &ImportOptions,
     budget: &Budget,
 ) -> Result<VolumeInfo> {
-    import_committing(source, spec, out, options, COMMIT_BYTES, budget)
+    import_committing(source, None, spec, out, options, COMMIT_BYTES, budget)
+}
+
+/// [`import_with`] for samples that also stand in `file` as they are from `offset` on: they are read
+/// there in the order of the bricks, so that there is no scratch file. The bytes of the volume file
+/// are the same.
+///
+/// # Errors
+/// As [`import_with`]. Nobody may write to the file meanwhile; what it holds then is imported.
+///
+/// # Memory
+/// A few MiB per thread.
+pub fn import_plain(
+    source: &mut dyn Read,
+    (file, offset): (&File, u64),
+    spec: &VolumeSpec,
+    out: &Path,
+    options: &ImportOptions,
+    budget: &Budget,
+) -> Result<VolumeInfo> {
+    let plain = Some((file, offset));
+    import_committing(source, plain, spec, out, options, COMMIT_BYTES, budget)
 }
 
 fn import_committing(
     source: &mut dyn Read,
+    plain: Option<(&File, u64)>,
     spec: &VolumeSpec,
     out: &Path,
     options: &ImportOptions,
@@ -87,7 +109,7 @@ fn import_committing(
 ) -> Result<VolumeInfo> {
     spec.validate().map_err(|e| e.context(out.display()))?;
     let (mut writer, resumed) = start(spec, out, options, budget)?;
-    let filled = fill(source, &writer, out, commit_bytes, budget)
+    let filled = fill(source, plain, &writer, out, commit_bytes, budget)
         .and_then(|()| match options.levels {
             0 => Ok(()),
             levels => writer.build_levels(levels),
@@ -229,11 +251,15 @@ struct Shape {
     size: [usize; 3],
     edge: usize,
     width: usize,
-    scratch: Option<(FileStorage, PathBuf, Aside)>,
+    /// The file that slabs are read from, its name, and what removes it when it is scratch.
+    file: Option<(FileStorage, PathBuf, Option<Aside>)>,
+    /// Offset of the first sample where that file is the source.
+    plain: Option<u64>,
 }
 
 fn fill(
     source: &mut dyn Read,
+    plain: Option<(&File, u64)>,
     writer: &VolumeWriter,
     out: &Path,
     commit_bytes: u64,
@@ -248,30 +274,45 @@ fn fill(
     let segment_bytes = (edge.pow(3) * width) as u64 * (batch + 1);
     let per_thread = segment_bytes + writer.encoder_charge(0, batch);
     let slab_bytes = size[0] as u64 * size[1] as u64 * edge.min(size[2]) as u64 * width as u64;
-    let in_memory = slab_bytes.checked_mul(2).and_then(|both| {
-        (both <= budget.free_bytes() / 2 && slab_bytes <= isize::MAX as u64)
-            .then(|| budget.try_take(both))
-            .flatten()
-    });
+    let in_memory = slab_bytes
+        .checked_mul(2)
+        .filter(|_| plain.is_none())
+        .and_then(|both| {
+            (both <= budget.free_bytes() / 2 && slab_bytes <= isize::MAX as u64)
+                .then(|| budget.try_take(both))
+                .flatten()
+        });
     let (free_sender, free) = bounded(2);
     let mut shape = Shape {
         size,
         edge,
         width,
-        scratch: None,
+        file: None,
+        plain: plain.map(|(_, offset)| offset),
     };
     let slabs_permit: Permit;
-    match in_memory {
-        Some(permit) => {
+    match (plain, in_memory) {
+        (Some((file, offset)), _) => {
+            slabs_permit = budget.take(CHUNK as u64, "reading the source")?;
+            let file = file
+                .try_clone()
+                .map_err(|e| Error::io(Path::new("source"), "opening once more", e))?;
+            shape.file = Some((FileStorage(file), PathBuf::from("source"), None));
+            for _ in 0..2 {
+                let _ = free_sender.send(Place::Scratch(offset));
+            }
+        }
+        (None, Some(permit)) => {
             slabs_permit = permit;
             for _ in 0..2 {
                 let _ = free_sender.send(Place::Memory(vec![0; slab_bytes as usize]));
             }
         }
-        None => {
+        (None, None) => {
             slabs_permit = budget.take(CHUNK as u64, "reading the source")?;
             let (file, aside) = create_aside(out)?;
-            shape.scratch = Some((FileStorage(file), aside.path().to_path_buf(), aside));
+            let path = aside.path().to_path_buf();
+            shape.file = Some((FileStorage(file), path, Some(aside)));
             for slot in 0..2 {
                 let _ = free_sender.send(Place::Scratch(slot * slab_bytes));
             }
@@ -358,6 +399,9 @@ fn feed(
             }
         };
         let bytes = slice_bytes * slices as u64;
+        if let Some(offset) = shape.plain {
+            place = Place::Scratch(offset + done);
+        }
         let mut at = 0u64;
         while at < bytes {
             budget.check_cancelled()?;
@@ -371,7 +415,7 @@ fn feed(
             };
             read_all(source, target, done + at, total)?;
             crc = crc32c::crc32c_append(crc, target);
-            if let (Place::Scratch(base), Some((file, path, _))) = (&place, &shape.scratch) {
+            if let (Place::Scratch(base), Some((file, path, Some(_)))) = (&place, &shape.file) {
                 file.write_at(&chunk[..n], base + at)
                     .map_err(|e| Error::io(path, "writing the scratch file", e))?;
             }
@@ -518,7 +562,7 @@ fn encode_job(
     );
     let rows = j1 - j0;
     // The samples of the job: a view of the slab, or a copy out of the scratch file.
-    let (data, row, slice, start) = match (&job.slab.place, &shape.scratch) {
+    let (data, row, slice, start) = match (&job.slab.place, &shape.file) {
         (Some(Place::Memory(slab)), _) => (
             &slab[..],
             nx * width,
@@ -538,7 +582,7 @@ fn encode_job(
                 };
                 for j in 0..runs {
                     file.read_at(&mut segment[k * row * rows + j * run..][..run], at(j))
-                        .map_err(|e| Error::io(path, "reading the scratch file", e))?;
+                        .map_err(|e| Error::io(path, "reading samples", e))?;
                 }
             }
             (&segment[..], row, row * rows, 0)
@@ -628,6 +672,35 @@ mod tests {
     }
 
     #[test]
+    fn samples_in_a_file_give_the_same_bytes_and_no_scratch_file() {
+        use std::io::Write;
+        let folder = tempfile::tempdir().expect("scratch folder");
+        for (size, sample) in [
+            ([75, 64, 37], SampleType::F32),
+            ([300, 9, 20], SampleType::U8),
+        ] {
+            let dense = Dense::new(spec(size, sample, 8), mixed);
+            let want = folder.path().join("want.bvol");
+            import_stream(&mut &dense.raw[..], &dense.spec, &want, &Budget::mib(24))
+                .expect("imports");
+            let mut file = tempfile::tempfile().expect("a file");
+            file.write_all(b"header").expect("written");
+            file.write_all(&dense.raw).expect("written");
+            for (mib, threads) in [(4, 1), (24, 3)] {
+                let budget = Budget::mib(mib).with_threads(threads);
+                let out = folder.path().join("out.bvol");
+                let options = ImportOptions::default();
+                let source = &mut &dense.raw[..];
+                import_plain(source, (&file, 6), &dense.spec, &out, &options, &budget)
+                    .expect("imports");
+                assert!(std::fs::read(&out).expect("out") == std::fs::read(&want).expect("want"));
+                assert_eq!(std::fs::read_dir(folder.path()).expect("folder").count(), 2);
+                assert_eq!(budget.used_bytes(), 0);
+            }
+        }
+    }
+
+    #[test]
     fn a_stopped_import_goes_on() {
         let folder = tempfile::tempdir().expect("scratch folder");
         let out = folder.path().join("v.bvol");
@@ -642,7 +715,15 @@ mod tests {
             };
             let import = |source: &mut dyn Read, threads: usize| {
                 let budget = Budget::mib(24).with_threads(threads);
-                import_committing(source, &spec, &out, &options, 3 * slab as u64, &budget)
+                import_committing(
+                    source,
+                    None,
+                    &spec,
+                    &out,
+                    &options,
+                    3 * slab as u64,
+                    &budget,
+                )
             };
             import(&mut &dense.raw[..], 2).expect("in one go");
             let whole = std::fs::read(&out).expect("is there");
