@@ -4,8 +4,8 @@
 use crate::support::program::{Run, brickmarch, data_gen};
 use crate::support::report::figure;
 use crate::support::scratch::Scratch;
-use brickmarch::store::{VolumeSpec, write_field};
-use brickmarch::{Budget, Field, Kind, SampleType};
+use brickmarch::store::{Volume, VolumeSpec, write_field};
+use brickmarch::{Box3, Budget, Field, Kind, SampleType, Samples};
 use brickmarch_data_gen::{Scene, SceneField, SceneName};
 
 const SLACK: u64 = 48 << 20;
@@ -113,4 +113,164 @@ fn a_large_sparse_volume_is_never_dense() {
         file >> 20,
         vertices.unwrap_or(0)
     ));
+}
+
+/// What came of a command that may refuse: its peak in MiB, `None` where it refused.
+#[track_caller]
+fn within_or_refused(run: Run, mib: u64, what: &str) -> Option<u64> {
+    if run.code == Some(0) {
+        return Some(within(run, mib, what));
+    }
+    assert_eq!(run.code, Some(1), "{what}: {run:#?}");
+    // Of the need and of the way out, before the memory was taken.
+    assert!(
+        run.stderr.contains("--mem") && run.stderr.trim_end().lines().count() == 1,
+        "{what} with {mib} MiB refuses without a remedy: {run:#?}"
+    );
+    assert!(
+        run.peak_bytes <= (mib << 20) + SLACK,
+        "{what} refused after taking {} MiB of {mib}: {run:#?}",
+        run.peak_bytes >> 20
+    );
+    None
+}
+
+/// Every command at every budget, on 64 MiB of samples.
+#[test]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "release only: every command, several times"
+)]
+fn every_command_stays_within_its_budget_or_says_what_it_needs() {
+    let scratch = Scratch::new("bounds-all");
+    let path = |name: &str| scratch.path(name).to_string_lossy().into_owned();
+    let (raw, volume, levels) = (path("field.raw"), path("field.bvol"), path("levels.bvol"));
+    let (packed, ply) = (path("packed.nrrd"), path("all.ply"));
+    data_gen(["field", "gyroid", "--n", "256", "--out", &raw]).success();
+    let dims = ["--dims", "256,256,256", "--type", "f32"];
+    let import = |out| ["import", &raw, out].into_iter().chain(dims);
+    brickmarch(import(&volume)).success();
+    brickmarch(["export", &volume, &packed, "--gzip"]).success();
+    brickmarch(["mesh", &volume, &ply, "--iso", "0"]).success();
+    let (out, picture, folder) = (path("out"), path("p.png"), path("demo"));
+    let file = |extension: &str| format!("{out}.{extension}");
+    let (bvol, npy, nrrd, stl, obj, mesh, png, man) = (
+        file("bvol"),
+        file("npy"),
+        file("nrrd"),
+        file("stl"),
+        file("obj"),
+        file("ply"),
+        file("png"),
+        file("man"),
+    );
+    let mut commands: Vec<(&str, Vec<&str>)> = vec![
+        (
+            "import --levels",
+            import(&levels).chain(["--levels", "9"]).collect(),
+        ),
+        ("import of gzip", vec!["import", &packed, &bvol]),
+        (
+            "import of small bricks",
+            import(&bvol).chain(["--brick", "8"]).collect(),
+        ),
+        ("compact", vec!["compact", &levels, &bvol]),
+        ("info", vec!["info", &levels]),
+        ("verify", vec!["verify", &levels]),
+        ("export to npy", vec!["export", &volume, &npy]),
+        ("export to gzip", vec!["export", &volume, &nrrd, "--gzip"]),
+        (
+            "export of a level",
+            vec!["export", &levels, &npy, "--level", "1"],
+        ),
+        (
+            "mesh to ply",
+            vec!["mesh", &volume, &mesh, "--iso", "0", "--normals", "--keys"],
+        ),
+        ("mesh to stl", vec!["mesh", &volume, &stl, "--iso", "0"]),
+        ("mesh to obj", vec!["mesh", &volume, &obj, "--iso", "0"]),
+        (
+            "mesh of a level",
+            vec!["mesh", &levels, &mesh, "--iso", "0", "--level", "1"],
+        ),
+        (
+            "mesh with a picture",
+            vec!["mesh", &volume, &mesh, "--iso", "0", "--picture", &picture],
+        ),
+        (
+            "mesh with a large picture",
+            vec![
+                "mesh",
+                &volume,
+                &mesh,
+                "--iso",
+                "0",
+                "--picture",
+                &picture,
+                "--picture-size",
+                "6000x6000",
+            ],
+        ),
+        ("slice", vec!["slice", &volume, &png, "--axis", "x"]),
+        (
+            "slice enlarged",
+            vec!["slice", &volume, &png, "--axis", "z", "--scale", "16"],
+        ),
+        ("check", vec!["check", &ply]),
+        ("demo", vec!["demo", &folder, "--size", "128"]),
+    ];
+    // One through the surface, by walking it.
+    let seed = seed_of(&volume);
+    commands.push((
+        "mesh from a seed",
+        vec!["mesh", &volume, &mesh, "--iso", "0", "--seed", &seed],
+    ));
+    let mut refusals = 0;
+    for (what, words) in &commands {
+        let writes = !matches!(words[0], "info" | "verify" | "check");
+        let mut peaks = Vec::new();
+        for mib in MIB {
+            let mem = format!("{mib}MiB");
+            let mut limits = vec!["--mem", &mem, "--quiet"];
+            limits.extend(writes.then_some("--overwrite"));
+            let peak = within_or_refused(brickmarch(words.iter().chain(&limits)), mib, what);
+            // More memory must not be refused where less was enough.
+            let before = peaks.last().copied().flatten();
+            assert!(peak.is_some() || before.is_none(), "{what} at {mib} MiB");
+            refusals += u32::from(peak.is_none());
+            peaks.push(peak);
+        }
+        let said = peaks
+            .iter()
+            .map(|p| p.map_or("refused".into(), |p: u64| p.to_string()));
+        let said: Vec<String> = said.collect();
+        figure(&format!(
+            "peak resident MiB of {what}, gyroid 256^3, budgets {MIB:?} MiB: {}",
+            said.join(", ")
+        ));
+    }
+    // A mesh of 100 MB cannot be checked in 24 MiB: the way of refusing is looked at too.
+    assert!(refusals > 0);
+    // Without a budget of their own: the smallest one must do.
+    for words in [
+        vec!["completions", "bash"],
+        vec!["man", &man],
+        vec!["--help"],
+    ] {
+        within(brickmarch(&words), MIB[0], words[0]);
+    }
+}
+
+/// A cell of the volume that the isosurface of 0 crosses, as `--seed` wants it.
+fn seed_of(volume: &str) -> String {
+    let volume = Volume::open(volume.as_ref(), &Budget::mib(64)).expect("it was written");
+    let region = Box3::from_size([64, 1, 1]);
+    let mut values = vec![0.0; 64];
+    volume
+        .read(region, &mut Samples::dense(&mut values, region))
+        .expect("sound");
+    let crossed = values
+        .windows(2)
+        .position(|w| (w[0] >= 0.0) != (w[1] >= 0.0));
+    format!("{},0,0", crossed.expect("a gyroid crosses every row"))
 }
