@@ -139,7 +139,7 @@ fn a_fault_at_any_call_of_a_reader_is_an_error_and_the_next_try_succeeds() {
     let reader = Arc::new(Disk::failing(image.clone(), Plan::default(), 0));
     read(reader.clone(), &Budget::mib(16)).expect("nothing fails");
     let (calls, _) = reader.calls();
-    let mut runs = 0;
+    let (mut runs, mut said) = (0, 0);
     for fault in [Fault::Io, Fault::Interrupted, Fault::Short] {
         for at in (0..calls).step_by(if cfg!(debug_assertions) { 13 } else { 1 }) {
             let what = format!("{fault:?} at call {at} of a reader");
@@ -155,6 +155,12 @@ fn a_fault_at_any_call_of_a_reader_is_an_error_and_the_next_try_succeeds() {
                 Err(e) => Some(e),
                 Ok(volume) => {
                     let error = volume.read_raw(DOMAIN, &mut out).err();
+                    // A fault while reading ahead concerns nobody: what was asked for is read alone.
+                    let right = out == content.samples;
+                    assert!(
+                        error.is_some() || right,
+                        "{what}: other samples, and nothing was said"
+                    );
                     // The same open volume reads on once the disk does.
                     disk.heal();
                     volume.read_raw(DOMAIN, &mut out).expect("healed");
@@ -162,13 +168,14 @@ fn a_fault_at_any_call_of_a_reader_is_an_error_and_the_next_try_succeeds() {
                     error
                 }
             };
-            match error {
-                Some(e) => assert_clear(&e, &what),
-                None => assert_eq!(disk.failed(), 0, "{what}: nothing was said"),
+            if let Some(e) = error {
+                assert_clear(&e, &what);
+                said += 1;
             }
             runs += 1;
         }
     }
+    assert!(2 * said > runs, "{said} of {runs} faults came to light");
     figure(&format!(
         "faults of a reader: {runs} runs of {calls} calls, each an error or the right samples"
     ));
