@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules of the engine and what each may use beside itself.
-const MAY_USE: [(&str, &[&str]); 10] = [
+const MAY_USE: [(&str, &[&str]); 11] = [
     ("cpu", &[]),
     ("error", &[]),
     ("budget", &["error"]),
@@ -24,6 +24,7 @@ const MAY_USE: [(&str, &[&str]); 10] = [
         "store",
         &["cpu", "error", "budget", "lattice", "sample", "field"],
     ),
+    ("model", &["error", "lattice", "sample", "field"]),
     (
         "raw_file",
         &["error", "budget", "lattice", "sample", "field"],

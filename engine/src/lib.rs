@@ -11,6 +11,7 @@ pub mod field;
 pub mod iso;
 pub mod lattice;
 pub mod mesh;
+pub mod model;
 pub mod raw_file;
 pub mod sample;
 pub mod store;
