@@ -21,6 +21,7 @@ mod ply;
 mod ply_read;
 mod raw;
 mod samples;
+pub mod scene;
 mod stl;
 mod stl_read;
 mod text;

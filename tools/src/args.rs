@@ -37,6 +37,8 @@ pub(crate) enum Command {
     Compact(Compact),
     /// Extract the isosurface of a volume as a closed triangle mesh (.ply, .stl, .obj)
     Mesh(Mesh),
+    /// Turn a scene of shapes, formulas and booleans into a volume or a mesh, at any resolution
+    Model(Model),
     /// Check a mesh: closed, 2-manifold, oriented, components, genus, area, volume
     Check(Check),
     /// Write an axis-aligned slice of a volume as a PNG picture
@@ -310,6 +312,46 @@ pub(crate) struct Mesh {
     #[arg(long)]
     pub allow_empty: bool,
     /// Say what would be read and how much memory it takes, and stop
+    #[arg(long)]
+    pub dry_run: bool,
+    #[command(flatten)]
+    pub shot: Shot,
+    #[command(flatten)]
+    pub overwrite: Overwrite,
+    #[command(flatten)]
+    pub limits: Limits,
+    #[command(flatten)]
+    pub say: Say,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Model {
+    /// Scene file (TOML); docs/scenes.md says what it may contain
+    pub scene: PathBuf,
+    /// Volume (.bvol) or mesh (.ply, .stl, .obj) to write
+    pub out: PathBuf,
+    /// Cells along the longest edge of the scene's bounds [default: what the scene says, or 256]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    pub resolution: Option<u32>,
+    /// Edge of a cell in world units, instead of --resolution
+    #[arg(long, value_name = "S", value_parser = parse::finite, conflicts_with = "resolution")]
+    pub voxel: Option<f64>,
+    /// Volumes: half width of the band around the surface that keeps its values, in voxels
+    #[arg(long, value_name = "VOXELS", default_value_t = 3.0, value_parser = parse::finite)]
+    pub band: f64,
+    /// Volumes: keep the value of every sample, near the surface or not
+    #[arg(long, conflicts_with = "band")]
+    pub full: bool,
+    /// Meshes: write unit normals
+    #[arg(long)]
+    pub normals: bool,
+    /// Meshes: write the colours of the scene (.ply)
+    #[arg(long)]
+    pub colors: bool,
+    /// Meshes: write one without triangles when the scene is empty, instead of failing
+    #[arg(long)]
+    pub allow_empty: bool,
+    /// Print the tree of the scene and what it would take, and stop
     #[arg(long)]
     pub dry_run: bool,
     #[command(flatten)]

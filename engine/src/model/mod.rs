@@ -24,6 +24,7 @@ mod expression;
 mod field;
 mod graph;
 mod interval;
+mod near;
 mod number;
 mod oracle;
 mod primitive;
@@ -36,6 +37,7 @@ mod transform;
 
 pub use expression::{Expression, FUNCTIONS};
 pub use field::{Evaluated, Model};
+pub use near::NearSurface;
 pub use profile::Profile;
 pub use sampled::Sampled;
 pub use shape::{Blend, Boolean, Convention, Convert, Periodic, Primitive, Shape, Transform};

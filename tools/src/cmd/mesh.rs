@@ -263,7 +263,7 @@ pub(super) fn pass(
     Ok((stats, measure.then(|| tally.figures())))
 }
 
-fn open_raster(
+pub(super) fn open_raster(
     shot: &Shot,
     field: &dyn Field,
     options: &Extract,
@@ -335,7 +335,7 @@ fn dry_run(args: &Mesh, job: &Job, field: &dyn Field, options: &Extract) -> Resu
 }
 
 /// Blocks of `region` whose range holds the isovalue, found by halving.
-fn crossed_blocks(field: &dyn Field, part: Box3, iso: f32, budget: &Budget) -> Result<u64> {
+pub(super) fn crossed_blocks(field: &dyn Field, part: Box3, iso: f32, budget: &Budget) -> Result<u64> {
     budget.check_cancelled()?;
     let domain = field.grid().domain;
     // Cells reach one sample beyond their own.

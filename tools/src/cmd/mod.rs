@@ -8,6 +8,7 @@ pub(crate) mod import;
 pub(crate) mod info;
 pub(crate) mod manual;
 pub(crate) mod mesh;
+pub(crate) mod model;
 pub(crate) mod slice;
 pub(crate) mod verify;
 

@@ -1,0 +1,278 @@
+//! `model`: a scene file into a volume, or directly into a mesh, with no file between.
+
+use super::mesh::{add_figures, count_work, crossed_blocks, open_raster, pass};
+use super::{named, seconds, thousands};
+use crate::Outcome;
+use crate::args::Model as Args;
+use crate::job::Job;
+use crate::output::{self, Replace};
+use crate::picture;
+use crate::tally::Figures;
+use brickmarch::budget::human_bytes;
+use brickmarch::iso::{Extract, Stats};
+use brickmarch::mesh::Layout;
+use brickmarch::model::{Convention, Model, NearSurface};
+use brickmarch::store::{VolumeInfo, VolumeSpec, write_field};
+use brickmarch::{Error, Field, MeshSink, Result, SampleType};
+use brickmarch_formats::scene::Scene;
+use serde_json::{Value, json};
+
+/// Cells along the longest edge when neither the command nor the scene says.
+const DEFAULT_RESOLUTION: u32 = 256;
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let replace = Replace::from(&args.overwrite);
+    let job = Job::new(&args.limits, &args.say);
+    let to_volume = is_volume(args);
+    check_usage(args, to_volume)?;
+    if !args.dry_run {
+        output::check_target(&args.out, replace)?;
+        if let Some(shot) = &args.shot.picture {
+            picture::check_png_name(shot)?;
+            output::check_target(shot, replace)?;
+        }
+    }
+    let scene = Scene::read(&args.scene, &job.budget)?;
+    let blame = named(&[&args.scene, &args.out]);
+    let grid = match args.voxel {
+        Some(voxel) => Model::lattice(scene.bounds, voxel, scene.units),
+        None => scene.lattice(
+            args.resolution
+                .or(scene.resolution)
+                .unwrap_or(DEFAULT_RESOLUTION),
+        ),
+    }
+    .map_err(&blame)?;
+    let model = Model::new(&scene.shape, grid).map_err(&blame)?;
+    let mut json = json!({
+        "schema": 1, "command": "model", "scene": args.scene, "out": args.out, "title": scene.title,
+        "size": grid.domain.size(), "voxel": grid.index_to_world.spacing()[0],
+        "operations": model.operations(), "convention": model.convention().name(),
+        "mem_bytes": args.limits.mem,
+    });
+    if args.dry_run {
+        let text = dry_run(&scene, &model, &job, &mut json).map_err(&blame)?;
+        job.result(&text, &json)?;
+        return Ok(Outcome::Done);
+    }
+    let text = if to_volume {
+        volume(args, model, &job, &mut json).map_err(&blame)?
+    } else {
+        mesh(args, &model, &job, replace, &mut json).map_err(&blame)?
+    };
+    let took = job.seconds();
+    add(
+        &mut json,
+        json!({
+            "seconds": took, "peak_rss_bytes": crate::system::peak_resident_bytes(),
+            "budget_peak_bytes": job.budget.peak_bytes(),
+            "bytes_out": std::fs::metadata(&args.out).map(|m| m.len()).ok(),
+        }),
+    );
+    let size = grid.domain.size();
+    let text = format!(
+        "{}: {} x {} x {}, {text}, {}, peak {}\n",
+        args.out.display(),
+        size[0],
+        size[1],
+        size[2],
+        seconds(took),
+        Job::peak_text(),
+    );
+    job.result(&text, &json)?;
+    Ok(Outcome::Done)
+}
+
+fn is_volume(args: &Args) -> bool {
+    let extension = args.out.extension();
+    extension.is_some_and(|e| e.eq_ignore_ascii_case("bvol"))
+}
+
+/// Options that the kind of output has no use for are mistakes.
+fn check_usage(args: &Args, to_volume: bool) -> Result<()> {
+    let mesh_only = [
+        ("--normals", args.normals),
+        ("--colors", args.colors),
+        ("--picture", args.shot.picture.is_some()),
+        ("--allow-empty", args.allow_empty),
+    ];
+    if let (true, Some((name, _))) = (to_volume, mesh_only.iter().find(|(_, given)| *given)) {
+        return Err(Error::bad_input(format!(
+            "{}: {name} is for meshes: leave it out, or write a .ply",
+            args.out.display()
+        )));
+    }
+    if !(args.band >= 1.0 && args.band <= 1e6) {
+        return Err(Error::bad_input(format!(
+            "--band {}: give a number of voxels from 1",
+            args.band
+        )));
+    }
+    Ok(())
+}
+
+fn add(json: &mut Value, more: Value) {
+    if let (Some(to), Value::Object(from)) = (json.as_object_mut(), more) {
+        to.extend(from);
+    }
+}
+
+fn dry_run(scene: &Scene, model: &Model, job: &Job, json: &mut Value) -> Result<String> {
+    let grid = model.grid();
+    let iso = model.convention().iso();
+    let blocks = crossed_blocks(model, grid.domain, iso, &job.budget)?;
+    let edge = model.block_edge();
+    let all: u64 = grid
+        .domain
+        .size()
+        .into_iter()
+        .map(|n| u64::from(n.div_ceil(edge)))
+        .product();
+    add(
+        json,
+        json!({"dry_run": true, "blocks": blocks, "blocks_all": all, "block_edge": edge}),
+    );
+    Ok(format!(
+        "{}{} operations; would evaluate up to {} of {} blocks of {edge}^3 samples ({:.3} %)\n",
+        scene.shape.outline(),
+        model.operations(),
+        thousands(blocks),
+        thousands(all),
+        100.0 * blocks as f64 / all as f64,
+    ))
+}
+
+fn volume(args: &Args, model: Model, job: &Job, json: &mut Value) -> Result<String> {
+    let grid = *model.grid();
+    let mut spec = VolumeSpec::new(grid, SampleType::F32);
+    spec.kind = model.kind();
+    let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
+    spec.name = name.chars().take(60).collect();
+    let bricks: u64 = spec.bricks().into_iter().map(u64::from).product();
+    let _watch = job.watch("evaluating");
+    let voxel = grid.index_to_world.spacing()[0];
+    let iso = model.convention().iso();
+    let info: VolumeInfo;
+    let evaluated;
+    if args.full {
+        spec.history = format!("model {name}, every sample");
+        spec.background = far_value(&model)?.into();
+        info = write_field(&model, &spec, &args.out, &job.budget)?;
+        evaluated = model.evaluated();
+    } else if model.convention() == Convention::Distance {
+        let band = f64::from((args.band * voxel) as f32);
+        spec.history = format!("model {name}, distance within {} voxels", args.band);
+        spec.background = band;
+        let model = model.narrow(band)?;
+        info = write_field(&model, &spec, &args.out, &job.budget)?;
+        evaluated = model.evaluated();
+    } else {
+        spec.history = format!("model {name}, bricks near the surface");
+        let near = NearSurface::new(&model, iso, far_value(&model)?);
+        spec.background = near.outside().into();
+        info = write_field(&near, &spec, &args.out, &job.budget)?;
+        evaluated = model.evaluated();
+    }
+    let share = evaluated.regions as f64 / bricks.max(1) as f64;
+    add(
+        json,
+        json!({
+            "volume": super::info::figures(&info, &grid), "bricks": bricks,
+            "bricks_evaluated": evaluated.regions, "samples_evaluated": evaluated.samples,
+            "share_evaluated": share,
+        }),
+    );
+    Ok(format!(
+        "{} of {} bricks evaluated ({:.3} %), {}",
+        thousands(evaluated.regions),
+        thousands(bricks),
+        100.0 * share,
+        human_bytes(info.bytes_file)
+    ))
+}
+
+/// A value that is clearly away from the surface: a power of two beyond those at the corners.
+fn far_value(model: &Model) -> Result<f32> {
+    let domain = model.grid().domain;
+    let map = model.grid().index_to_world;
+    let iso = f64::from(model.convention().iso());
+    let mut largest = 0.0f64;
+    for c in 0..8 {
+        let corner = std::array::from_fn(|a| {
+            f64::from(if c >> a & 1 == 0 {
+                domain.min[a]
+            } else {
+                domain.max[a] - 1
+            })
+        });
+        let value = (model.value(map.apply(corner))? - iso).abs();
+        if value.is_finite() {
+            largest = largest.max(value);
+        }
+    }
+    if largest < 1e-30 {
+        return Ok(1.0);
+    }
+    Ok(largest.log2().ceil().exp2().clamp(1e-30, 1e30) as f32)
+}
+
+fn mesh(
+    args: &Args,
+    model: &Model,
+    job: &Job,
+    replace: Replace,
+    json: &mut Value,
+) -> Result<String> {
+    let options = Extract {
+        iso: model.convention().iso(),
+        normals: args.normals || args.shot.picture.is_some(),
+        allow_empty: args.allow_empty,
+        ..Extract::default()
+    };
+    let mut file = brickmarch_formats::create_mesh_sink(&args.out, replace == Replace::Yes)?;
+    let mut raster = match &args.shot.picture {
+        Some(_) => Some(open_raster(&args.shot, model, &options, &job.budget)?),
+        None => None,
+    };
+    let wanted = Layout {
+        normals: args.normals,
+        keys: false,
+    };
+    let (stats, figures): (Stats, Figures) = {
+        let _watch = job.watch_counted("meshing", || count_work(model, &options, &job.budget))?;
+        let raster = raster.as_mut().map(|r| r as &mut dyn MeshSink);
+        pass(model, &options, &job.budget, file.as_mut(), wanted, raster)?
+    };
+    if let (Some(raster), Some(path)) = (raster, &args.shot.picture) {
+        let bytes = raster.picture(&job.budget)?.write_png(path, replace)?;
+        add(json, json!({"picture": path, "picture_bytes": bytes}));
+    }
+    add_figures(json, &stats, &figures);
+    let edge = model.block_edge();
+    let blocks: u64 = model
+        .grid()
+        .domain
+        .size()
+        .into_iter()
+        .map(|n| u64::from(n.div_ceil(edge)))
+        .product();
+    let evaluated = model.evaluated();
+    add(
+        json,
+        json!({
+            "blocks": blocks, "blocks_evaluated": evaluated.regions,
+            "samples_evaluated": evaluated.samples,
+            "share_evaluated": evaluated.regions as f64 / blocks.max(1) as f64,
+        }),
+    );
+    Ok(format!(
+        "{} triangles, {} vertices, {}, area {:.6}, volume {:.6}, {} of {} blocks evaluated",
+        thousands(stats.triangles),
+        thousands(stats.vertices),
+        if figures.closed { "closed" } else { "open" },
+        figures.area,
+        figures.volume,
+        thousands(evaluated.regions),
+        thousands(blocks),
+    ))
+}
