@@ -14,7 +14,9 @@ use crate::error::{Error, Result};
 pub(super) fn common_convention(what: &str, parts: &[Built]) -> Result<Convention> {
     let mut all = parts.iter().map(|p| p.convention);
     let first = all.next().ok_or_else(|| {
-        Error::bad_input(format!("{what}: nothing to combine: give at least one part"))
+        Error::bad_input(format!(
+            "{what}: nothing to combine: give at least one part"
+        ))
     })?;
     all.try_fold(first, |so_far, next| match (so_far, next) {
         (Convention::Density { iso: a }, Convention::Density { iso: b }) if a == b => Ok(so_far),
@@ -135,7 +137,10 @@ pub(super) fn convert(op: Convert, mut part: Built, g: &mut Graph) -> Result<Bui
             part.convention = Convention::Distance;
         }
         (Convert::ToDistance { .. }, _) => {
-            return Err(wrong("level", "leave the conversion out of a distance; a density needs convert = \"level\" first"));
+            return Err(wrong(
+                "level",
+                "leave the conversion out of a distance; a density needs convert = \"level\" first",
+            ));
         }
         (Convert::ToDensity { reach }, Convention::Distance) => {
             positive("reach", &[reach])?;
@@ -159,7 +164,10 @@ pub(super) fn convert(op: Convert, mut part: Built, g: &mut Graph) -> Result<Bui
             part.value = g.sub_value(wall, 0.5 * thickness);
         }
         _ => {
-            return Err(wrong("distance", "put convert = \"distance\" with the slope of the values before it"));
+            return Err(wrong(
+                "distance",
+                "put convert = \"distance\" with the slope of the values before it",
+            ));
         }
     }
     Ok(part)

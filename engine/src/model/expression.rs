@@ -326,7 +326,10 @@ impl Parser<'_> {
         let rest = &self.text[self.at..];
         let bytes = rest.as_bytes();
         let digits = |mut i: usize| {
-            while bytes.get(i).is_some_and(|b| b.is_ascii_digit() || *b == b'.') {
+            while bytes
+                .get(i)
+                .is_some_and(|b| b.is_ascii_digit() || *b == b'.')
+            {
                 i += 1;
             }
             i

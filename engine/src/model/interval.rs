@@ -112,8 +112,16 @@ impl Interval {
         let step = 4e-15 * self.magnitude() + 1e-300;
         if !step.is_finite() {
             return Interval {
-                lo: if self.lo.is_finite() { f64::MIN } else { self.lo },
-                hi: if self.hi.is_finite() { f64::MAX } else { self.hi },
+                lo: if self.lo.is_finite() {
+                    f64::MIN
+                } else {
+                    self.lo
+                },
+                hi: if self.hi.is_finite() {
+                    f64::MAX
+                } else {
+                    self.hi
+                },
                 nan: self.nan,
             };
         }
@@ -256,10 +264,15 @@ impl Interval {
         if self.magnitude() > number::SINE_LIMIT || self.hi - self.lo > 7.0 {
             return all;
         }
-        let f = if shift == 0.0 { number::sin } else { number::cos };
+        let f = if shift == 0.0 {
+            number::sin
+        } else {
+            number::cos
+        };
         // In quarter turns the largest values are at 1, 5, 9, ..., the smallest at 3, 7, 11, ...
         let [from, to] = [self.lo, self.hi].map(|v| v / std::f64::consts::FRAC_PI_2 + shift);
-        let passes = |at: f64| ((to - at + 1e-9) / 4.0).floor() >= ((from - at - 1e-9) / 4.0).ceil();
+        let passes =
+            |at: f64| ((to - at + 1e-9) / 4.0).floor() >= ((from - at - 1e-9) / 4.0).ceil();
         let (a, b) = (f(self.lo), f(self.hi));
         Interval {
             lo: if passes(3.0) { -1.0 } else { a.min(b) } - 1e-14,

@@ -288,7 +288,10 @@ fn metaballs(
     positive("metaballs: hardness", &[hardness])?;
     let mut sum = g.constant(0.0);
     for (center, radius, weight) in balls {
-        finite("metaballs: center, weight", &[&center[..], &[*weight]].concat())?;
+        finite(
+            "metaballs: center, weight",
+            &[&center[..], &[*weight]].concat(),
+        )?;
         positive("metaballs: radius", &[*radius])?;
         let squares = [0, 1, 2].map(|a| {
             let d = g.sub_value(p[a], center[a]);

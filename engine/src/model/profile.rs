@@ -142,9 +142,10 @@ fn is_inside(segments: &[[[f64; 2]; 2]], p: [f64; 2]) -> bool {
 /// Middle and half diagonal of the points.
 fn circle(x: &[f64], y: &[f64]) -> ([f64; 2], f64) {
     let ends = |v: &[f64]| {
-        v.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], &v| {
-            [a.min(v), b.max(v)]
-        })
+        v.iter()
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], &v| {
+                [a.min(v), b.max(v)]
+            })
     };
     let ([x0, x1], [y0, y1]) = (ends(x), ends(y));
     let middle = [0.5 * (x0 + x1), 0.5 * (y0 + y1)];

@@ -53,18 +53,24 @@ impl Sampled {
                 if c >> a & 1 == 0 { low[a] } else { high[a] }
             }))
         });
-        corners.fold([[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]], |[lo, hi], p| {
-            [
-                [0, 1, 2].map(|a| lo[a].min(p[a])),
-                [0, 1, 2].map(|a| hi[a].max(p[a])),
-            ]
-        })
+        corners.fold(
+            [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]],
+            |[lo, hi], p| {
+                [
+                    [0, 1, 2].map(|a| lo[a].min(p[a])),
+                    [0, 1, 2].map(|a| hi[a].max(p[a])),
+                ]
+            },
+        )
     }
 
     /// First and last lattice point.
     pub(super) fn ends(&self) -> ([f64; 3], [f64; 3]) {
         let domain = self.field.grid().domain;
-        (domain.min.map(f64::from), domain.max.map(|v| f64::from(v) - 1.0))
+        (
+            domain.min.map(f64::from),
+            domain.max.map(|v| f64::from(v) - 1.0),
+        )
     }
 
     pub(super) fn spacing(&self) -> [f64; 3] {
@@ -214,7 +220,9 @@ impl Oracle for Sampled {
             let Some(region) = self.reach(cube) else {
                 return Ok([Interval::REAL; 3]);
             };
-            let slopes = self.cell(self.index_of(world), region, &self.block(region)?).1;
+            let slopes = self
+                .cell(self.index_of(world), region, &self.block(region)?)
+                .1;
             // Beyond the border the nearest sample stands: flat.
             return Ok(to_world([0, 1, 2].map(|a| {
                 let inside = low[a] < high[a] && raw[a] >= low[a] && raw[a] <= high[a];

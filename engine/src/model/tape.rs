@@ -108,9 +108,7 @@ impl Tape {
                 Op::Axis(a) => cube[a as usize],
                 Op::Unary(f, a) => interval::unary(f, all[a as usize]),
                 Op::Binary(f, a, b) => interval::binary(f, all[a as usize], all[b as usize]),
-                Op::Oracle(n, p) => {
-                    self.oracles[n as usize].range(p.map(|id| all[id as usize]))?
-                }
+                Op::Oracle(n, p) => self.oracles[n as usize].range(p.map(|id| all[id as usize]))?,
             };
             all.push(value);
         }
@@ -341,7 +339,9 @@ fn pairs(a: Operand<'_>, b: Operand<'_>, out: &mut [f64], f: impl Fn(f64, f64) -
     match (a, b) {
         (Operand::Row(a), Operand::Row(b)) => {
             let rows = a.iter().zip(b);
-            out.iter_mut().zip(rows).for_each(|(o, (&a, &b))| *o = f(a, b));
+            out.iter_mut()
+                .zip(rows)
+                .for_each(|(o, (&a, &b))| *o = f(a, b));
         }
         (Operand::Row(a), Operand::Value(b)) => {
             out.iter_mut().zip(a).for_each(|(o, &a)| *o = f(a, b));

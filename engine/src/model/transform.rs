@@ -79,7 +79,13 @@ fn rotation(axis: [f64; 3], degrees: f64) -> [[f64; 3]; 3] {
     })
 }
 
-fn scale(of: &Shape, factors: [f64; 3], g: &mut Graph, p: [Id; 3], names: &[String]) -> Result<Built> {
+fn scale(
+    of: &Shape,
+    factors: [f64; 3],
+    g: &mut Graph,
+    p: [Id; 3],
+    names: &[String],
+) -> Result<Built> {
     finite("scale", &factors)?;
     positive("scale, without its sign", &factors.map(f64::abs))?;
     let q = [0, 1, 2].map(|a| {

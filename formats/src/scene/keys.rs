@@ -42,7 +42,11 @@ impl<'a> Keys<'a> {
     /// When a key was given that nobody asked for.
     pub(super) fn finish(&self) -> Result<()> {
         let asked = self.asked.borrow();
-        match self.table.iter().find(|(key, _)| !asked.contains(key.as_str())) {
+        match self
+            .table
+            .iter()
+            .find(|(key, _)| !asked.contains(key.as_str()))
+        {
             None => Ok(()),
             Some((key, item)) => {
                 let known: Vec<&str> = asked.iter().copied().collect();

@@ -28,7 +28,8 @@ pub(super) fn volume(keys: &Keys<'_>) -> Result<Primitive> {
     } else {
         convention(keys, default)?
     };
-    let samples = Sampled::new(field, &name).map_err(|e| keys.scope.error(keys.line, e.to_string()))?;
+    let samples =
+        Sampled::new(field, &name).map_err(|e| keys.scope.error(keys.line, e.to_string()))?;
     Ok(Primitive::Sampled {
         samples,
         convention,
@@ -77,7 +78,9 @@ fn open_field(
     raw: Option<RawLayout>,
     budget: &Budget,
 ) -> Result<Arc<dyn Field + Send + Sync>> {
-    let is_volume = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("bvol"));
+    let is_volume = path
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("bvol"));
     if is_volume && raw.is_none() {
         return Ok(Arc::new(Volume::open(path, budget)?));
     }
@@ -141,7 +144,8 @@ pub(super) fn heights(keys: &Keys<'_>) -> Result<Primitive> {
             ),
         ));
     }
-    let heights = Sampled::new(field, &name).map_err(|e| keys.scope.error(keys.line, e.to_string()))?;
+    let heights =
+        Sampled::new(field, &name).map_err(|e| keys.scope.error(keys.line, e.to_string()))?;
     Ok(Primitive::Heights { heights, factor })
 }
 
@@ -160,7 +164,10 @@ fn table(keys: &Keys<'_>) -> Result<Dense> {
         if *width.get_or_insert(list.len()) != list.len() || list.is_empty() {
             return Err(keys.scope.error(
                 row.line,
-                format!("'values': a row of {} numbers among others: give every row the same number", list.len()),
+                format!(
+                    "'values': a row of {} numbers among others: give every row the same number",
+                    list.len()
+                ),
             ));
         }
         for item in list {
@@ -175,7 +182,9 @@ fn table(keys: &Keys<'_>) -> Result<Dense> {
     }
     let width = width.unwrap_or(0);
     if width == 0 {
-        return Err(keys.scope.error(keys.line, "'values' is empty: give rows of numbers".into()));
+        return Err(keys
+            .scope
+            .error(keys.line, "'values' is empty: give rows of numbers".into()));
     }
     let spacing = keys.number_or("spacing", 1.0)?;
     let origin = match keys.get("origin") {
@@ -183,7 +192,10 @@ fn table(keys: &Keys<'_>) -> Result<Dense> {
         None => [0.0; 2],
     };
     if spacing.is_nan() || spacing < 1e-30 {
-        return Err(keys.scope.error(keys.line, format!("'spacing' is {spacing}: give a number above 0")));
+        return Err(keys.scope.error(
+            keys.line,
+            format!("'spacing' is {spacing}: give a number above 0"),
+        ));
     }
     let grid = Grid {
         domain: Box3::from_size([width as i32, rows.len() as i32, 1]),

@@ -23,7 +23,10 @@ const SOURCES: [&str; 9] = [
 /// Names line and key.
 pub(super) fn part(scope: &Scope, line: usize, table: &Table) -> Result<(Shape, usize)> {
     let keys = Keys::new(scope, line, table);
-    let given: Vec<&str> = SOURCES.into_iter().filter(|s| keys.get(s).is_some()).collect();
+    let given: Vec<&str> = SOURCES
+        .into_iter()
+        .filter(|s| keys.get(s).is_some())
+        .collect();
     let &[source] = given.as_slice() else {
         let all = SOURCES.join(", ");
         return Err(scope.error(
@@ -31,7 +34,10 @@ pub(super) fn part(scope: &Scope, line: usize, table: &Table) -> Result<(Shape, 
             if given.is_empty() {
                 format!("this part says nothing of what it is: give one of {all}")
             } else {
-                format!("this part has {}: give only one of them", given.join(" and "))
+                format!(
+                    "this part has {}: give only one of them",
+                    given.join(" and ")
+                )
             },
         ));
     };
@@ -61,8 +67,14 @@ pub(super) fn part(scope: &Scope, line: usize, table: &Table) -> Result<(Shape, 
         }
     };
     wrap(conversion(&keys)?);
-    wrap(keys.number("shell")?.map(|thickness| Wrap::Convert(Convert::Shell { thickness })));
-    wrap(keys.number("offset")?.map(|by| Wrap::Convert(Convert::Offset { by })));
+    wrap(
+        keys.number("shell")?
+            .map(|thickness| Wrap::Convert(Convert::Shell { thickness })),
+    );
+    wrap(
+        keys.number("offset")?
+            .map(|by| Wrap::Convert(Convert::Offset { by })),
+    );
     for step in transforms(&keys)? {
         wrap(Some(Wrap::Transform(step)));
     }
@@ -92,7 +104,10 @@ fn combination(keys: &Keys<'_>, source: &'static str) -> Result<(Shape, usize)> 
         (other, _) => {
             return Err(scope.error(
                 item.line,
-                format!("'{source}' is {}: give a list of parts in [ ]", other.noun()),
+                format!(
+                    "'{source}' is {}: give a list of parts in [ ]",
+                    other.noun()
+                ),
             ));
         }
     };
@@ -157,7 +172,13 @@ fn combination(keys: &Keys<'_>, source: &'static str) -> Result<(Shape, usize)> 
     let shape = match first {
         None => Shape::Boolean(boolean, parts),
         Some(("smooth", width)) => Shape::Blend(Blend::Smooth { of: boolean, width }, parts),
-        Some(("circular", radius)) => Shape::Blend(Blend::Circular { of: boolean, radius }, parts),
+        Some(("circular", radius)) => Shape::Blend(
+            Blend::Circular {
+                of: boolean,
+                radius,
+            },
+            parts,
+        ),
         Some((_, radius)) if boolean == Boolean::Union => {
             Shape::Blend(Blend::Weld { radius }, parts)
         }
@@ -172,16 +193,18 @@ fn combination(keys: &Keys<'_>, source: &'static str) -> Result<(Shape, usize)> 
 }
 
 fn conversion(keys: &Keys<'_>) -> Result<Option<Wrap>> {
-    Ok(match keys.choice("convert", &["level", "distance", "density"])? {
-        None => None,
-        Some("level") => Some(Wrap::Convert(Convert::ToLevel)),
-        Some("distance") => Some(Wrap::Convert(Convert::ToDistance {
-            slope: keys.need_number("slope")?,
-        })),
-        Some(_) => Some(Wrap::Convert(Convert::ToDensity {
-            reach: keys.need_number("reach")?,
-        })),
-    })
+    Ok(
+        match keys.choice("convert", &["level", "distance", "density"])? {
+            None => None,
+            Some("level") => Some(Wrap::Convert(Convert::ToLevel)),
+            Some("distance") => Some(Wrap::Convert(Convert::ToDistance {
+                slope: keys.need_number("slope")?,
+            })),
+            Some(_) => Some(Wrap::Convert(Convert::ToDensity {
+                reach: keys.need_number("reach")?,
+            })),
+        },
+    )
 }
 
 /// `scale`, `mirror`, `twist`, `rotate`, `move`, in this order; then the steps of `transform`.
@@ -254,10 +277,15 @@ fn steps(keys: &Keys<'_>) -> Result<Vec<Transform>> {
         let count = match keys.vector("count")? {
             None => [0; 3],
             Some(count) => {
-                if count.iter().any(|c| *c != c.trunc() || *c < 0.0 || *c > 1e6) {
+                if count
+                    .iter()
+                    .any(|c| *c != c.trunc() || *c < 0.0 || *c > 1e6)
+                {
                     return Err(keys.scope.error(
                         keys.line,
-                        format!("'count' is {count:?}: give whole numbers from 0 (no end) to 1000000"),
+                        format!(
+                            "'count' is {count:?}: give whole numbers from 0 (no end) to 1000000"
+                        ),
                     ));
                 }
                 count.map(|c| c as u32)
@@ -278,7 +306,9 @@ fn attributes(keys: &Keys<'_>) -> Result<Vec<(String, f64)>> {
             Value::Text(text) => hex(text).ok_or_else(|| {
                 keys.scope.error(
                     item.line,
-                    format!("'color' is \"{text}\": give \"#rrggbb\" or [red, green, blue] from 0 to 1"),
+                    format!(
+                        "'color' is \"{text}\": give \"#rrggbb\" or [red, green, blue] from 0 to 1"
+                    ),
                 )
             })?,
             _ => keys.scope.vector("color", item)?,

@@ -161,7 +161,10 @@ fn parameters(
         ));
     }
     let mut known = set.clone();
-    let mut open: Vec<(&String, &Item)> = table.iter().filter(|(n, _)| !set.contains_key(*n)).collect();
+    let mut open: Vec<(&String, &Item)> = table
+        .iter()
+        .filter(|(n, _)| !set.contains_key(*n))
+        .collect();
     while !open.is_empty() {
         let before = open.len();
         let mut failed = None;
@@ -239,7 +242,10 @@ fn includes(
             other => {
                 return Err(scope.error(
                     entry.line,
-                    format!("{} in 'include': give a file name, or {{ file = \"...\", as = \"name\" }}", other.noun()),
+                    format!(
+                        "{} in 'include': give a file name, or {{ file = \"...\", as = \"name\" }}",
+                        other.noun()
+                    ),
                 ));
             }
         };
@@ -260,7 +266,9 @@ fn includes(
         if above.len() >= MAX_INCLUDES || *files > MAX_FILES {
             return Err(scope.error(
                 entry.line,
-                format!("more than {MAX_INCLUDES} levels or {MAX_FILES} files of includes: include less"),
+                format!(
+                    "more than {MAX_INCLUDES} levels or {MAX_FILES} files of includes: include less"
+                ),
             ));
         }
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -303,7 +311,10 @@ impl Scope {
             }
             other => Err(self.error(
                 item.line,
-                format!("'{key}' is {}: give a number or a formula in quotes", other.noun()),
+                format!(
+                    "'{key}' is {}: give a number or a formula in quotes",
+                    other.noun()
+                ),
             )),
         }
     }
@@ -343,7 +354,9 @@ impl Scope {
         if let Some((file, inner)) = name.split_once('.') {
             let include = self.includes.get(file);
             let include = include.ok_or_else(|| self.no_part(line, name))?;
-            return include.part(line, inner).map_err(|e| self.from_within(line, e));
+            return include
+                .part(line, inner)
+                .map_err(|e| self.from_within(line, e));
         }
         let item = match (name == MODEL, self.parts.get(name)) {
             (true, _) => self.model.as_ref(),
@@ -351,7 +364,9 @@ impl Scope {
         };
         let Some(item) = item else {
             if let Some(include) = self.includes.get(name) {
-                return include.part(line, MODEL).map_err(|e| self.from_within(line, e));
+                return include
+                    .part(line, MODEL)
+                    .map_err(|e| self.from_within(line, e));
             }
             return Err(self.no_part(line, name));
         };
@@ -367,7 +382,9 @@ impl Scope {
         let made = self.item(item, name);
         self.open.borrow_mut().pop();
         let made = made?;
-        self.done.borrow_mut().insert(name.to_string(), made.clone());
+        self.done
+            .borrow_mut()
+            .insert(name.to_string(), made.clone());
         Ok(made)
     }
 
@@ -411,7 +428,10 @@ impl Scope {
             Value::Table(table) => super::part::part(self, item.line, table),
             other => Err(self.error(
                 item.line,
-                format!("'{what}' is {}: give the name of a part, or a part in {{ }}", other.noun()),
+                format!(
+                    "'{what}' is {}: give the name of a part, or a part in {{ }}",
+                    other.noun()
+                ),
             )),
         };
         *self.depth.borrow_mut() -= 1;

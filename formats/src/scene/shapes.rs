@@ -142,9 +142,7 @@ fn profile(keys: &Keys<'_>) -> Result<Profile> {
     let lines = keys.list("lines")?;
     let text = keys.text("text")?;
     let made = match (contours, lines, text) {
-        (Some(contours), None, None) => {
-            Profile::filled(&points(keys, "contours", contours)?)
-        }
+        (Some(contours), None, None) => Profile::filled(&points(keys, "contours", contours)?),
         (None, Some(lines), None) => {
             let pen = keys.need_number("pen")?;
             Profile::stroked(&points(keys, "lines", lines)?, pen)

@@ -335,7 +335,12 @@ fn dry_run(args: &Mesh, job: &Job, field: &dyn Field, options: &Extract) -> Resu
 }
 
 /// Blocks of `region` whose range holds the isovalue, found by halving.
-pub(super) fn crossed_blocks(field: &dyn Field, part: Box3, iso: f32, budget: &Budget) -> Result<u64> {
+pub(super) fn crossed_blocks(
+    field: &dyn Field,
+    part: Box3,
+    iso: f32,
+    budget: &Budget,
+) -> Result<u64> {
     budget.check_cancelled()?;
     let domain = field.grid().domain;
     // Cells reach one sample beyond their own.
