@@ -354,9 +354,7 @@ impl Scope {
         if let Some((file, inner)) = name.split_once('.') {
             let include = self.includes.get(file);
             let include = include.ok_or_else(|| self.no_part(line, name))?;
-            return include
-                .part(line, inner)
-                .map_err(|e| self.from_within(line, e));
+            return include.part(line, inner);
         }
         let item = match (name == MODEL, self.parts.get(name)) {
             (true, _) => self.model.as_ref(),
@@ -364,9 +362,7 @@ impl Scope {
         };
         let Some(item) = item else {
             if let Some(include) = self.includes.get(name) {
-                return include
-                    .part(line, MODEL)
-                    .map_err(|e| self.from_within(line, e));
+                return include.part(line, MODEL);
             }
             return Err(self.no_part(line, name));
         };
@@ -386,11 +382,6 @@ impl Scope {
             .borrow_mut()
             .insert(name.to_string(), made.clone());
         Ok(made)
-    }
-
-    /// Errors of included files name that file; nothing to add.
-    fn from_within(&self, _line: usize, error: Error) -> Error {
-        error
     }
 
     fn no_part(&self, line: usize, name: &str) -> Error {
