@@ -57,6 +57,27 @@ pub fn create_mesh_sink(path: &Path, overwrite: bool) -> Result<Box<dyn MeshSink
     })
 }
 
+/// The same for a mesh whose pieces carry colours.
+///
+/// # Errors
+/// When the format has no colours (all but PLY); those of [`create_mesh_sink`].
+pub fn create_colored_mesh_sink(path: &Path, overwrite: bool) -> Result<Box<dyn MeshSink>> {
+    match Format::of(path)? {
+        Format::Ply => Ok(Box::new(Stream::create(
+            Ply::with_colors(),
+            path,
+            overwrite,
+        )?)),
+        _ => Err(Error::new(
+            ErrorKind::Unsupported,
+            format!(
+                "{}: only PLY carries colours: give the file a name that ends in .ply",
+                path.display()
+            ),
+        )),
+    }
+}
+
 /// Reads the mesh file `path`: PLY, STL or OBJ by its extension.
 ///
 /// Polygons become fans of triangles. Equal corners of STL become one vertex; the vertices of PLY

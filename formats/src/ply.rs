@@ -1,7 +1,7 @@
 //! PLY, binary little endian, written while the mesh is made.
 //!
 //! Vertices are `float x y z`, then `nx ny nz`, then the key as `int edge_x edge_y edge_z` and
-//! `uchar edge_axis`, where present. Faces are `list uchar int vertex_indices`. The bytes of a
+//! `uchar edge_axis`, then `uchar red green blue`, where present. Faces are `list uchar int vertex_indices`. The bytes of a
 //! signed and an unsigned index are the same below 2^31, so the type is decided at the end: `int`,
 //! which every reader knows, up to 2^31 vertices, `uint` up to 2^32, which is the limit.
 //!
@@ -22,9 +22,20 @@ const FACE_BYTES: usize = 1 + 3 * 4;
 #[derive(Debug, Default)]
 pub(crate) struct Ply {
     layout: Layout,
+    colors: bool,
 }
 
-fn header_text(layout: Layout, totals: Totals, padding: usize) -> String {
+impl Ply {
+    /// An encoder that writes the colours of vertices.
+    pub(crate) fn with_colors() -> Ply {
+        Ply {
+            layout: Layout::default(),
+            colors: true,
+        }
+    }
+}
+
+fn header_text(layout: Layout, colors: bool, totals: Totals, padding: usize) -> String {
     let mut text = format!(
         "ply\nformat binary_little_endian 1.0\ncomment brickmarch{:padding$}\nelement vertex {}\n",
         "", totals.vertices
@@ -42,6 +53,9 @@ fn header_text(layout: Layout, totals: Totals, padding: usize) -> String {
         property("int", &["edge_x", "edge_y", "edge_z"]);
         property("uchar", &["edge_axis"]);
     }
+    if colors {
+        property("uchar", &["red", "green", "blue"]);
+    }
     let index = if totals.vertices <= SIGNED_VERTICES {
         "int"
     } else {
@@ -54,12 +68,14 @@ fn header_text(layout: Layout, totals: Totals, padding: usize) -> String {
     text
 }
 
-fn header_bytes(layout: Layout) -> usize {
+fn header_bytes(layout: Layout, colors: bool) -> usize {
     let largest = Totals {
         vertices: u64::MAX,
         triangles: u64::MAX,
     };
-    header_text(layout, largest, 0).len().next_multiple_of(16)
+    header_text(layout, colors, largest, 0)
+        .len()
+        .next_multiple_of(16)
 }
 
 fn put_floats(out: &mut [u8], values: [f32; 3]) {
@@ -79,15 +95,18 @@ impl Encode for Ply {
     fn begin(&mut self, layout: Layout) -> Result<Shape> {
         self.layout = layout;
         Ok(Shape {
-            header: header_bytes(layout) as u64,
-            vertex: 12 + if layout.normals { 12 } else { 0 } + if layout.keys { 13 } else { 0 },
+            header: header_bytes(layout, self.colors) as u64,
+            vertex: 12
+                + if layout.normals { 12 } else { 0 }
+                + if layout.keys { 13 } else { 0 }
+                + if self.colors { 3 } else { 0 },
             triangle: FACE_BYTES,
         })
     }
 
     fn vertices(&self, piece: &Piece, range: Range<usize>, out: &mut [u8]) {
         let own = &piece.own[range];
-        if !self.layout.normals && !self.layout.keys {
+        if !self.layout.normals && !self.layout.keys && !self.colors {
             for (&local, record) in own.iter().zip(out.chunks_exact_mut(12)) {
                 put_floats(record, piece.positions[local as usize]);
             }
@@ -108,6 +127,12 @@ impl Encode for Ply {
                     bytes.copy_from_slice(&value.to_le_bytes());
                 }
                 rest[12] = key.axis;
+                rest = &mut rest[13..];
+            }
+            if self.colors {
+                // A piece without colours is white.
+                let color = piece.colors.get(local).copied().unwrap_or([255; 3]);
+                rest[..3].copy_from_slice(&color);
             }
         }
     }
@@ -127,7 +152,7 @@ impl Encode for Ply {
     }
 
     fn header(&self, totals: Totals) -> Vec<u8> {
-        let padding = header_bytes(self.layout) - header_text(self.layout, totals, 0).len();
-        header_text(self.layout, totals, padding).into_bytes()
+        let text = |padding| header_text(self.layout, self.colors, totals, padding);
+        text(header_bytes(self.layout, self.colors) - text(0).len()).into_bytes()
     }
 }

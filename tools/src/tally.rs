@@ -26,7 +26,7 @@ struct Sums {
 }
 
 /// What a [`Tally`] found.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Figures {
     pub closed: bool,
     pub area: f64,

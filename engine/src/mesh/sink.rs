@@ -52,6 +52,8 @@ pub struct Piece {
     pub normals: Vec<[f32; 3]>,
     /// Key of each local vertex, or empty.
     pub keys: Vec<EdgeKey>,
+    /// Colour of each local vertex, red, green, blue; or empty.
+    pub colors: Vec<[u8; 3]>,
     /// Global number of each local vertex.
     pub ids: Vec<u64>,
     /// Local numbers of the new vertices; the global number of `own[i]` is `first_vertex + i`.
@@ -66,6 +68,7 @@ impl Piece {
         (self.positions.capacity() * 12
             + self.normals.capacity() * 12
             + self.keys.capacity() * size_of::<EdgeKey>()
+            + self.colors.capacity() * 3
             + self.ids.capacity() * 8
             + self.own.capacity() * 4
             + self.triangles.capacity() * 12) as u64

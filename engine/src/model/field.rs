@@ -217,8 +217,23 @@ impl Model {
         Ok(out)
     }
 
+    /// Colours at world points, from the attributes `red`, `green` and `blue` (0 to 1).
+    ///
+    /// # Errors
+    /// What sampled data reports.
+    pub fn colors(&self, points: &[[f32; 3]]) -> Result<Vec<[u8; 3]>> {
+        let mut out = vec![[0; 3]; points.len()];
+        for (channel, name) in ["red", "green", "blue"].into_iter().enumerate() {
+            let values = self.attribute(name, points)?;
+            for (color, value) in out.iter_mut().zip(values) {
+                color[channel] = (255.0 * value).round().clamp(0.0, 255.0) as u8;
+            }
+        }
+        Ok(out)
+    }
+
     /// World coordinate of an index; the same operations wherever it is asked from.
-    fn world(&self, axis: usize, index: i32) -> f64 {
+    pub(super) fn world(&self, axis: usize, index: i32) -> f64 {
         let row = self.grid.index_to_world.rows[axis];
         row[3] + row[axis] * f64::from(index)
     }

@@ -33,6 +33,8 @@ mod sampled;
 mod shape;
 mod slope;
 mod tape;
+#[cfg(test)]
+mod tests;
 mod transform;
 
 pub use expression::{Expression, FUNCTIONS};

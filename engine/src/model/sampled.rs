@@ -111,6 +111,8 @@ impl Sampled {
             let slack = 1e-9 * (1.0 + sum.magnitude());
             out.min[a] = clamp((sum.lo - slack).floor()) as i32;
             out.max[a] = clamp((sum.hi + slack).floor() + 1.0) as i32 + 1;
+            // At the last sample the cell before it is used.
+            out.min[a] = out.min[a].min((domain.max[a] - 2).max(domain.min[a]));
         }
         Some(out)
     }

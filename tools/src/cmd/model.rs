@@ -10,7 +10,7 @@ use crate::picture;
 use crate::tally::Figures;
 use brickmarch::budget::human_bytes;
 use brickmarch::iso::{Extract, Stats};
-use brickmarch::mesh::Layout;
+use brickmarch::mesh::{Layout, Piece, Totals};
 use brickmarch::model::{Convention, Model, NearSurface};
 use brickmarch::store::{VolumeInfo, VolumeSpec, write_field};
 use brickmarch::{Error, Field, MeshSink, Result, SampleType};
@@ -229,7 +229,15 @@ fn mesh(
         allow_empty: args.allow_empty,
         ..Extract::default()
     };
-    let mut file = brickmarch_formats::create_mesh_sink(&args.out, replace == Replace::Yes)?;
+    let overwrite = replace == Replace::Yes;
+    let mut file: Box<dyn MeshSink + '_> = if args.colors {
+        Box::new(Colored {
+            inner: brickmarch_formats::create_colored_mesh_sink(&args.out, overwrite)?,
+            model,
+        })
+    } else {
+        brickmarch_formats::create_mesh_sink(&args.out, overwrite)?
+    };
     let mut raster = match &args.shot.picture {
         Some(_) => Some(open_raster(&args.shot, model, &options, &job.budget)?),
         None => None,
@@ -238,16 +246,34 @@ fn mesh(
         normals: args.normals,
         keys: false,
     };
-    let (stats, figures): (Stats, Figures) = {
+    let (stats, figures): (Stats, Option<Figures>) = {
         let _watch = job.watch_counted("meshing", || count_work(model, &options, &job.budget))?;
         let raster = raster.as_mut().map(|r| r as &mut dyn MeshSink);
-        pass(model, &options, &job.budget, file.as_mut(), wanted, raster)?
+        pass(
+            model,
+            &options,
+            &job.budget,
+            file.as_mut(),
+            wanted,
+            raster,
+            true,
+        )?
     };
     if let (Some(raster), Some(path)) = (raster, &args.shot.picture) {
-        let bytes = raster.picture(&job.budget)?.write_png(path, replace)?;
+        let shot_colour = args.shot.colour;
+        // A point whose colour cannot be read keeps that of the option.
+        let colours = |points: &[[f32; 3]]| {
+            let found = model.colors(points);
+            found.unwrap_or_else(|_| vec![shot_colour; points.len()])
+        };
+        let named = ["red", "green", "blue"];
+        let has_colours = model.attribute_names().any(|n| named.contains(&n));
+        let picture = raster.painted(has_colours.then_some(&colours), &job.budget)?;
+        let bytes = picture.write_png(path, replace)?;
         add(json, json!({"picture": path, "picture_bytes": bytes}));
     }
-    add_figures(json, &stats, &figures);
+    add_figures(json, &stats, figures.as_ref());
+    let figures = figures.unwrap_or_default();
     let edge = model.block_edge();
     let blocks: u64 = model
         .grid()
@@ -275,4 +301,30 @@ fn mesh(
         thousands(evaluated.regions),
         thousands(blocks),
     ))
+}
+
+/// Gives every vertex the colour of the solid that it lies on.
+struct Colored<'a> {
+    inner: Box<dyn MeshSink>,
+    model: &'a Model,
+}
+
+impl MeshSink for Colored<'_> {
+    fn capacity(&self) -> Totals {
+        self.inner.capacity()
+    }
+
+    fn begin(&mut self, layout: Layout) -> Result<()> {
+        self.inner.begin(layout)
+    }
+
+    fn write(&self, piece: &Piece) -> Result<()> {
+        let mut colored = piece.clone();
+        colored.colors = self.model.colors(&piece.positions)?;
+        self.inner.write(&colored)
+    }
+
+    fn finish(&mut self, totals: Totals) -> Result<()> {
+        self.inner.finish(totals)
+    }
 }

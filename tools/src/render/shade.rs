@@ -49,12 +49,23 @@ impl Default for Look {
     }
 }
 
+/// Colours of world points.
+pub(crate) type Paint<'a> = &'a (dyn Fn(&[[f32; 3]]) -> Vec<[u8; 3]> + Sync);
+
 impl Raster {
     /// Shades what was drawn.
     ///
     /// # Errors
     /// `BudgetExceeded` when the picture does not fit; `Cancelled`.
     pub(crate) fn picture(&self, budget: &Budget) -> Result<Picture> {
+        self.painted(None, budget)
+    }
+
+    /// The same; `paint` gives the colours of world points.
+    ///
+    /// # Errors
+    /// When the memory is not there, or the budget was cancelled.
+    pub(crate) fn painted(&self, paint: Option<Paint<'_>>, budget: &Budget) -> Result<Picture> {
         let (w, h) = (self.look.width as usize, self.look.height as usize);
         let [fine_w, fine_h] = self.size;
         let _permit = budget.take((w * h * 3 + fine_w * fine_h) as u64, "shading the picture")?;
@@ -70,16 +81,38 @@ impl Raster {
         })?;
         let mut picture = Picture::rgb(self.look.width, self.look.height);
         each_row(&mut picture.bytes, w * 3, budget, |y, row| {
+            let colours = paint.map(|paint| self.paint_row(y, paint));
             for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
                 let mut sum = Vec3::ZERO;
                 for sub in 0..SUPER * SUPER {
                     let (sx, sy) = (x * SUPER + sub % SUPER, y * SUPER + sub / SUPER);
-                    sum += self.colour(sx, sy, &open, scale, &soft);
+                    let own = colours
+                        .as_ref()
+                        .map_or(self.look.colour, |c| c[sx + (sub / SUPER) * fine_w]);
+                    sum += self.colour(sx, sy, own, &open, scale, &soft);
                 }
                 pixel.copy_from_slice(&to_srgb(sum / (SUPER * SUPER) as f32));
             }
         })?;
         Ok(picture)
+    }
+
+    /// Colours of the samples of one row of pixels; that of the look where nothing is seen.
+    fn paint_row(&self, y: usize, paint: Paint<'_>) -> Vec<[u8; 3]> {
+        let mut colours = vec![self.look.colour; self.size[0] * SUPER];
+        let mut seen = Vec::new();
+        let mut points = Vec::new();
+        for at in 0..colours.len() {
+            let (sx, sy) = (at % self.size[0], y * SUPER + at / self.size[0]);
+            if let Some(position) = self.position(sx, sy) {
+                seen.push(at);
+                points.push(self.camera.to_world(position).as_vec3().to_array());
+            }
+        }
+        for (at, colour) in seen.into_iter().zip(paint(&points)) {
+            colours[at] = colour;
+        }
+        colours
     }
 
     /// Size of the scene in world units: what "large" and "small" mean for shadows and hollows.
@@ -135,14 +168,22 @@ impl Raster {
     }
 
     /// Linear colour of one sample.
-    fn colour(&self, x: usize, y: usize, open: &[u8], scene: f64, soft: &[Spiral]) -> Vec3 {
+    fn colour(
+        &self,
+        x: usize,
+        y: usize,
+        own: [u8; 3],
+        open: &[u8],
+        scene: f64,
+        soft: &[Spiral],
+    ) -> Vec3 {
         let Some((position, normal)) = self.sample(x, y) else {
             return self.background(x, y);
         };
         let eye = self.camera.to_eye(position).as_vec3();
         let hollow = self.smooth_openness(x, y, open);
         let lit = self.lit(position, normal.as_dvec3(), scene, &soft[pattern(x, y)]);
-        let albedo = from_srgb(self.look.colour);
+        let albedo = from_srgb(own);
         let key = KEY_LIGHT.normalize().as_vec3();
         let (fill, rim) = (FILL_LIGHT.normalize(), RIM_LIGHT.normalize());
         let wrapped = ((normal.dot(key) + 0.1) / 1.1).max(0.0);
