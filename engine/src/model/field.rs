@@ -161,8 +161,9 @@ impl Model {
     pub fn value(&self, point: [f64; 3]) -> Result<f64> {
         let mut out = [0.0];
         let [x, y, z] = point.map(|c| [c]);
-        self.tape
-            .values([&x, &y, &z], &mut out, &mut Room::default())?;
+        let mut room = ROOM.take();
+        self.tape.values([&x, &y, &z], &mut out, &mut room)?;
+        ROOM.replace(room);
         Ok(out[0])
     }
 

@@ -113,6 +113,8 @@ impl Sampled {
             out.max[a] = clamp((sum.hi + slack).floor() + 1.0) as i32 + 1;
             // At the last sample the cell before it is used.
             out.min[a] = out.min[a].min((domain.max[a] - 2).max(domain.min[a]));
+            // Before the first one the cell behind it.
+            out.max[a] = out.max[a].max((out.min[a] + 2).min(domain.max[a]));
         }
         Some(out)
     }
@@ -193,6 +195,12 @@ impl Oracle for Sampled {
         let Some(region) = self.reach(cube) else {
             return Ok(Interval::ANY);
         };
+        if cube.iter().all(|i| i.lo == i.hi) {
+            let index = self.index_of(cube.map(|i| i.lo));
+            return Ok(Interval::point(
+                self.cell(index, region, &self.block(region)?).0,
+            ));
+        }
         let found = self.field.range(region)?;
         if found.min > found.max {
             return Ok(Interval::ANY);

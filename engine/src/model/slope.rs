@@ -137,14 +137,14 @@ pub(super) fn binary(f: Binary, a: Slope, b: Slope) -> Slope {
         }
         Binary::Pow => {
             let by_a = times(vb, va.pow(vb.sub(one)));
-            let by_b = if vb.single().is_some() {
-                Interval::ZERO
-            } else {
-                times(value, va.ln())
-            };
+            let by_b = times(value, va.ln());
             Slope::pair(value, (a, by_a), (b, by_b))
         }
         Binary::Atan2 => {
+            if vb.lo <= 0.0 && va.lo <= 0.0 && va.hi >= 0.0 {
+                // It jumps there.
+                return Slope::pair(value, (a, Interval::REAL), (b, Interval::REAL));
+            }
             let square = va.square().add(vb.square());
             Slope::pair(value, (a, vb.div(square)), (b, va.div(square).neg()))
         }

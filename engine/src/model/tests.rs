@@ -322,43 +322,44 @@ fn model(shape: &Shape, cells: f64) -> Model {
     Model::new(shape, grid).expect("a model")
 }
 
-/// How many samples each node gets; the long form asks for ten million.
-fn samples_per_node() -> usize {
-    match std::option_env!("BRICKMARCH_MODEL_SAMPLES").and_then(|n| n.parse().ok()) {
-        Some(n) => n,
-        None => 40_000,
-    }
+fn ranges_hold(samples: usize) {
+    let problems: Vec<String> = nodes()
+        .iter()
+        .filter_map(|(name, shape)| range_problem(name, shape, samples))
+        .collect();
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
 }
 
-fn ranges_hold(samples: usize) {
-    for (name, shape) in nodes() {
-        let model = model(&shape, 64.0);
-        let mut random = Random(1);
-        for _ in 0..samples.div_ceil(20) {
-            let size = 10f64.powf(random.within(-4.0, 0.3));
-            let low = random.point(1.5);
-            let high = low.map(|c| c + size * random.within(0.1, 1.0));
-            let range = model.world_range(low, high).expect("no data fails");
-            for _ in 0..20 {
-                let p = std::array::from_fn(|a| random.within(low[a], high[a]));
-                let value = model.value(p).expect("no data fails") as f32;
-                let held = if value.is_nan() {
-                    range.has_nan
-                } else {
-                    range.min <= value && value <= range.max
-                };
-                assert!(
-                    held,
+/// The first sample that is not in the range of its box.
+fn range_problem(name: &str, shape: &Shape, samples: usize) -> Option<String> {
+    let model = model(shape, 64.0);
+    let mut random = Random(1);
+    for _ in 0..samples.div_ceil(20) {
+        let size = 10f64.powf(random.within(-4.0, 0.3));
+        let low = random.point(1.5);
+        let high = low.map(|c| c + size * random.within(0.1, 1.0));
+        let range = model.world_range(low, high).expect("no data fails");
+        for _ in 0..20 {
+            let p = std::array::from_fn(|a| random.within(low[a], high[a]));
+            let value = model.value(p).expect("no data fails") as f32;
+            let held = if value.is_nan() {
+                range.has_nan
+            } else {
+                range.min <= value && value <= range.max
+            };
+            if !held {
+                return Some(format!(
                     "{name}: {value} at {p:?} is not in {range:?} of {low:?} {high:?}"
-                );
+                ));
             }
         }
     }
+    None
 }
 
 #[test]
 fn ranges_hold_every_sample_of_every_node() {
-    ranges_hold(samples_per_node());
+    ranges_hold(8_000);
 }
 
 /// The same with ten million samples for each node: some minutes.
@@ -370,11 +371,12 @@ fn ranges_hold_ten_million_samples_of_every_node() {
 
 #[test]
 fn gradients_agree_with_differences_of_every_node() {
+    let mut problems = Vec::new();
     for (name, shape) in nodes() {
         let model = model(&shape, 64.0);
         let mut random = Random(2);
         let (mut compared, mut wrong) = (0, 0);
-        for _ in 0..2000 {
+        for _ in 0..700 {
             let p = random.point(1.4);
             let value = |p| model.value(p).expect("no data fails");
             let gradient = model.gradient(p).expect("no data fails");
@@ -395,7 +397,8 @@ fn gradients_agree_with_differences_of_every_node() {
                 let scale = 1.0 + slim.abs();
                 let smooth = (wide - slim).abs() < 1e-6 * scale
                     && (sides[0] - sides[1]).abs() < 1e-3 * scale;
-                if !slim.is_finite() || !smooth {
+                // Beyond that differences lose their digits.
+                if !slim.is_finite() || !smooth || scale > 1e4 {
                     continue;
                 }
                 compared += 1;
@@ -404,9 +407,12 @@ fn gradients_agree_with_differences_of_every_node() {
                 }
             }
         }
-        assert!(compared > 1500, "{name}: only {compared} compared");
-        assert_eq!(wrong, 0, "{name}: {wrong} of {compared} gradients");
+        // Where a formula has no value nothing is compared.
+        if compared < 400 || wrong > 0 {
+            problems.push(format!("{name}: {wrong} wrong of {compared}"));
+        }
     }
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
 }
 
 #[test]
@@ -475,7 +481,7 @@ fn distances_change_by_no_more_than_the_way() {
 fn booleans_follow_their_truth_tables() {
     let distances = || {
         [
-            ball(0.8, [0.3, 0.0, 0.0]),
+            ball(0.5, [0.5, 0.0, 0.0]),
             block(),
             ball(0.6, [0.0, 0.5, 0.2]),
         ]
@@ -490,21 +496,21 @@ fn booleans_follow_their_truth_tables() {
         })
     };
     for parts in [distances(), densities()] {
-        let inside = |shape: &Shape, p: [f64; 3]| {
-            let model = model(shape, 8.0);
+        let inside = |model: &Model, p: [f64; 3]| {
             let convention = model.convention();
             let value = model.value(p).expect("no data fails") as f32;
             convention.inside().contains(value, convention.iso())
         };
-        let combined = |op| Shape::Boolean(op, parts.to_vec());
+        let of = |op, parts: &[Shape]| model(&Shape::Boolean(op, parts.to_vec()), 8.0);
+        let own = [0, 1, 2].map(|i| model(&parts[i], 8.0));
         let [union, common, rest] =
-            [Boolean::Union, Boolean::Intersection, Boolean::Difference].map(combined);
-        let outside = Shape::Boolean(Boolean::Complement, vec![parts[0].clone()]);
+            [Boolean::Union, Boolean::Intersection, Boolean::Difference].map(|op| of(op, &parts));
+        let outside = of(Boolean::Complement, &parts[..1]);
         let mut random = Random(6);
         let mut seen = [false; 8];
-        for _ in 0..1500 {
+        for _ in 0..20_000 {
             let p = random.point(1.3);
-            let [a, b, c] = [0, 1, 2].map(|i| inside(&parts[i], p));
+            let [a, b, c] = [0, 1, 2].map(|i| inside(&own[i], p));
             seen[usize::from(a) + 2 * usize::from(b) + 4 * usize::from(c)] = true;
             assert_eq!(inside(&union, p), a || b || c);
             assert_eq!(inside(&common, p), a && b && c);
