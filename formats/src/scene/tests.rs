@@ -261,3 +261,81 @@ fn scenes_that_multiply_themselves_are_stopped() {
     );
     assert!(read(&scene(&deep)).is_err());
 }
+
+/// The mesh of a scene of the gallery.
+fn gallery_mesh(name: &str, resolution: u32) -> brickmarch::Mesh {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data-gen/scenes");
+    let path = folder.join(format!("{name}.toml"));
+    let budget = Budget::mib(256);
+    let scene = Scene::read(&path, &budget).expect("reads");
+    let grid = scene.lattice(resolution).expect("a lattice");
+    let model = Model::new(&scene.shape, grid).expect("a model");
+    let options = brickmarch::iso::Extract {
+        iso: model.convention().iso(),
+        ..Default::default()
+    };
+    let mut sink = brickmarch::mesh::Collect::default();
+    brickmarch::iso::extract(&model, &options, &budget, &mut sink).expect("meshes");
+    sink.into_mesh()
+}
+
+/// Genus of one closed surface, from its Euler characteristic.
+fn genus(mesh: &brickmarch::Mesh) -> i64 {
+    let (v, f) = (mesh.positions.len() as i64, mesh.triangles.len() as i64);
+    assert_eq!(f % 2, 0, "closed");
+    1 - (v - f / 2) / 2
+}
+
+#[test]
+fn meshes_of_scenes_are_closed_with_the_known_genus() {
+    for (name, resolution, wanted) in [
+        ("sphere", 32, 0),
+        ("torus", 32, 1),
+        ("csg", 48, 5),
+        ("tanglecube", 48, 5),
+        ("machine_part", 96, 5),
+        ("metaballs", 48, 0),
+    ] {
+        let mesh = gallery_mesh(name, resolution);
+        let mut sides = std::collections::BTreeMap::new();
+        for &[a, b, c] in &mesh.triangles {
+            for side in [(a, b), (b, c), (c, a)] {
+                *sides.entry(side).or_insert(0) += 1;
+            }
+        }
+        let closed = sides
+            .iter()
+            .all(|(&(a, b), &n)| n == 1 && sides.get(&(b, a)) == Some(&1));
+        assert!(
+            closed,
+            "{name}: every side has one partner in the other direction"
+        );
+        assert_eq!(genus(&mesh), wanted, "{name}");
+    }
+}
+
+#[test]
+fn errors_of_volume_and_area_fall_with_the_square_of_the_step() {
+    use std::f64::consts::PI;
+    for (name, volume, area) in [
+        ("sphere", 4.0 / 3.0 * PI, 4.0 * PI),
+        (
+            "torus",
+            2.0 * PI * PI * 0.8 * 0.09,
+            4.0 * PI * PI * 0.8 * 0.3,
+        ),
+    ] {
+        let errors = [32, 64, 128].map(|n| {
+            let mesh = gallery_mesh(name, n);
+            [
+                (brickmarch::mesh::measure::volume(&mesh) - volume).abs() / volume,
+                (brickmarch::mesh::measure::area(&mesh) - area).abs() / area,
+            ]
+        });
+        for which in 0..2 {
+            let fall = errors[0][which] / errors[2][which];
+            // Two halvings: 16 times; rougher where the surface cuts the lattice differently.
+            assert!((10.0..26.0).contains(&fall), "{name}: {errors:?}");
+        }
+    }
+}
