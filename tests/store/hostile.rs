@@ -657,3 +657,46 @@ fn there_are_enough_hostile_files() {
     assert!(files.len() >= CASES.len() - 2, "cases repeat each other");
     assert_eq!(Image::new([0; 16]).bytes.len(), LOG + 4136);
 }
+
+/// What the superblocks and the footer say of live and dead bytes and of the generation is a count that a
+/// commit adds to.
+#[test]
+fn fuzz_open_and_read_all_counts_that_overflow_in_a_commit() {
+    use brickmarch::store::{VolumeSpec, VolumeWriter};
+    use brickmarch::{Grid, SampleType};
+    let budget = Budget::mib(16);
+    let spec = VolumeSpec {
+        brick_edge: 8,
+        ..VolumeSpec::new(Grid::new(Box3::from_size([20, 9, 8])), SampleType::U16)
+    };
+    let name = Path::new("counts.bvol");
+    let storage = Arc::new(MemoryStorage::default());
+    let writer = VolumeWriter::create_in(storage.clone(), name, &spec, &budget).expect("made");
+    writer.put_brick([0, 1, 0], &[7; 1024]).expect("put");
+    writer.finish().expect("finished");
+    let whole = storage.to_vec();
+    let footer = image::of_kind(&whole, image::kind::FOOTER)[0].payload();
+    for (in_superblock, in_footer, value) in [
+        (48, 48, u64::MAX),
+        (48, 48, u64::MAX - 100),
+        (56, 56, u64::MAX),
+        (56, 56, u64::MAX - 100),
+    ] {
+        let mut bytes = whole.clone();
+        for slot in [1, 2].map(image::superblock_of) {
+            image::put(&mut bytes, slot + in_superblock, value.to_le_bytes());
+        }
+        image::put(&mut bytes, footer + in_footer, value.to_le_bytes());
+        image::reseal(&mut bytes);
+        let storage = Arc::new(MemoryStorage::new(bytes));
+        let writer = VolumeWriter::open_in(storage.clone(), name, &budget).expect("opens");
+        writer.put_constant([0; 3], 0, 3.0).expect("put");
+        writer.commit().expect("committed");
+        drop(writer);
+        let volume = Volume::open_in(storage, name, &budget).expect("opens");
+        assert_eq!(
+            volume.range(Box3::from_size([8, 8, 8])).expect("known").max,
+            3.0
+        );
+    }
+}

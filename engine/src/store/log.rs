@@ -83,6 +83,15 @@ impl Log {
 
     /// Goes on where `file` ends.
     pub(crate) fn open(file: &Opened) -> Result<Log> {
+        if file.root.generation >= u64::MAX - 1 {
+            return Err(file.error(
+                ErrorKind::LimitExceeded,
+                format!(
+                    "no commit fits after generation {}: compact it into a new file",
+                    file.root.generation
+                ),
+            ));
+        }
         let log = Log::at(
             file.storage.clone(),
             file.path.clone(),
@@ -254,7 +263,11 @@ impl Log {
                 start: root.log_end,
                 previous: root.footer,
                 records: state.records,
-                live: (root.live + state.appended).saturating_sub(publish.dropped),
+                // Saturating: what the file says of itself is not to be trusted.
+                live: root
+                    .live
+                    .saturating_add(state.appended)
+                    .saturating_sub(publish.dropped),
                 garbage: root.garbage.saturating_add(publish.dropped),
                 chain: state.chain,
             };
@@ -270,7 +283,7 @@ impl Log {
             log_end: align_up(written, SECTOR as u64).expect("checked when reserved"),
             catalog: publish.catalog,
             footer: at.offset,
-            live: footer.live + whole,
+            live: footer.live.saturating_add(whole),
             garbage: footer.garbage,
             writer: publish.writer,
             index: publish.index,
