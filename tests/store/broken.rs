@@ -34,6 +34,8 @@ pub(crate) enum Mistake {
     NoSuperblockCrc,
     /// With one superblock damaged readers take the other as it is.
     NoRollForward,
+    /// Readers walk to any footer of the next generation and do not look at the records before it.
+    TrustedFooter,
     /// Commits follow each other without border.
     Unaligned,
     /// A commit overwrites the one that it replaces.
@@ -41,7 +43,7 @@ pub(crate) enum Mistake {
 }
 
 impl Mistake {
-    pub(crate) const ALL: [Mistake; 15] = [
+    pub(crate) const ALL: [Mistake; 16] = [
         Mistake::NoDataSync,
         Mistake::NoFinalSync,
         Mistake::AckAtOnce,
@@ -55,6 +57,7 @@ impl Mistake {
         Mistake::WipedSlot,
         Mistake::NoSuperblockCrc,
         Mistake::NoRollForward,
+        Mistake::TrustedFooter,
         Mistake::Unaligned,
         Mistake::ReusedSpace,
     ];
@@ -65,6 +68,7 @@ const LOG: u64 = 12288;
 const ROOT: &[u8] = b"SVOLROOT";
 const CATALOG: u8 = 4;
 const PAGE: u8 = 3;
+const FOOTER: u8 = 6;
 
 fn u64_at(bytes: &[u8], at: usize) -> u64 {
     u64::from_le_bytes(bytes[at..at + 8].try_into().expect("eight bytes"))
@@ -171,7 +175,44 @@ impl Broken {
             let crc = self.crc_of(&block)?;
             block[4092..].copy_from_slice(&crc.to_le_bytes());
         }
+        if self.mistake == Mistake::TrustedFooter && self.disk.is_none() {
+            self.trust_footer(&mut block, slot)?;
+        }
         Ok(block)
+    }
+
+    /// Makes a superblock for `slot` of a footer behind the newest root.
+    fn trust_footer(&self, block: &mut [u8], slot: u64) -> io::Result<()> {
+        let mut other = vec![0; 4096];
+        let newest = SLOTS[usize::from(slot == SLOTS[0])];
+        self.inner.read_at(&mut other, newest)?;
+        let holds = |block: &[u8]| -> io::Result<bool> {
+            Ok(block.starts_with(ROOT) && self.crc_of(block)?.to_le_bytes() == block[4092..])
+        };
+        if !holds(&other)? || (holds(block)? && u64_at(block, 8) > u64_at(&other, 8)) {
+            return Ok(());
+        }
+        let (next, start) = (u64_at(&other, 8) + 1, u64_at(&other, 16));
+        let mut tail = vec![0; self.inner.len()?.saturating_sub(start) as usize];
+        self.inner.read_at(&mut tail, start)?;
+        let found = (0..tail.len().saturating_sub(111)).step_by(8).find(|&at| {
+            tail[at..].starts_with(b"SVrc")
+                && tail[at + 4] == FOOTER
+                && u64_at(&tail, at + 16) == next
+        });
+        if let Some(at) = found {
+            let payload = &tail[at + 40..at + 112];
+            let footer = start + at as u64;
+            block.copy_from_slice(&other);
+            block[8..16].copy_from_slice(&next.to_le_bytes());
+            let end = (footer + 112).next_multiple_of(4096);
+            block[16..24].copy_from_slice(&end.to_le_bytes());
+            block[24..40].copy_from_slice(&payload[8..24]);
+            block[40..48].copy_from_slice(&footer.to_le_bytes());
+            let crc = self.crc_of(block)?;
+            block[4092..].copy_from_slice(&crc.to_le_bytes());
+        }
+        Ok(())
     }
 
     fn crc_of(&self, block: &[u8]) -> io::Result<u32> {

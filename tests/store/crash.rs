@@ -9,9 +9,10 @@ use super::tale::{self, BYTES, States};
 use crate::support::report::figure;
 use crate::support::rng::Rng;
 use brickmarch::Budget;
-use brickmarch::store::Storage;
+use brickmarch::store::{Storage, VolumeWriter};
+use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
 
 /// How the storage of a reader or writer is seen.
@@ -21,6 +22,8 @@ type View<'a> = &'a (dyn Fn(Arc<dyn Storage>) -> Arc<dyn Storage> + Sync);
 struct Run {
     points: Vec<Point>,
     states: States,
+    /// Samples of the import that the first two commits are.
+    source: Option<Vec<u8>>,
 }
 
 /// One worker: its buffers, and what it has seen.
@@ -102,7 +105,7 @@ impl<'a> Worker<'a> {
     /// Both superblocks of a disk at rest turn to noise, one at a time: what was acknowledged is
     /// found again by walking the log.
     fn at_rest(&mut self, point: &Point, states: &States) -> Result<(), String> {
-        if !point.is_at_rest() || point.acked == 0 {
+        if !point.is_at_rest() || point.acked == 0 || point.has_tail() {
             return Ok(());
         }
         point.lay(&self.platter);
@@ -124,7 +127,8 @@ impl<'a> Worker<'a> {
     }
 
     /// The power fails at `point`; a writer goes on for two commits, and the power fails again.
-    fn again(&mut self, point: &Point, states: &States, count: usize) -> Result<(), String> {
+    fn again(&mut self, point: &Point, run: &Run, count: usize) -> Result<(), String> {
+        let states = &run.states;
         point.lay(&self.platter);
         point.random(&mut self.rng, &mut self.choice);
         point.apply(&self.choice, &self.platter);
@@ -138,7 +142,8 @@ impl<'a> Worker<'a> {
         );
         let image = self.platter.image();
         let seen = judged?;
-        if seen == 0 {
+        let source = run.source.as_deref().filter(|_| seen < 2);
+        if seen == 0 && source.is_none() {
             return Ok(());
         }
         let mut next = states[..=seen].to_vec();
@@ -150,16 +155,16 @@ impl<'a> Worker<'a> {
                 point.calls
             )
         };
-        let result = go_on(
-            (self.view)(disk.clone()),
-            &disk,
-            &mut next,
-            &self.budget,
-            &mut self.rng,
-        );
+        let storage = (self.view)(disk.clone());
+        let result = match source {
+            Some(source) => {
+                next = states[..=2].to_vec();
+                tale::import(storage, &disk, source, &next, &self.budget)
+            }
+            None => go_on(storage, &disk, &mut next, &self.budget, &mut self.rng),
+        };
         result.map_err(|e| at(format!("the next writer fails: {e}")))?;
-        let run = points(&image, &disk.take_ops(), seen);
-        for point in &run {
+        for point in &points(&image, &disk.take_ops(), seen) {
             let before = self.tried;
             self.point(point, &next, count).map_err(at)?;
             self.second += self.tried - before;
@@ -183,35 +188,150 @@ fn go_on(
     Ok(())
 }
 
-/// A run of `commits` commits, the writer being opened anew now and then.
+/// What a recorded run does.
+#[derive(Clone, Copy, Default)]
+struct Script {
+    commits: usize,
+    /// Bricks that each commit changes; 0: one to three.
+    bricks: usize,
+    /// It begins as an import in two commits.
+    is_import: bool,
+    /// Now and then a writer is dropped, or killed in the middle of a commit, and another goes on.
+    reopens: bool,
+}
+
+/// A storage that is cut off after some calls, as by a kill: what was written stays with the kernel.
+struct CutOff {
+    inner: Arc<dyn Storage>,
+    left: AtomicU64,
+}
+
+impl CutOff {
+    fn call(&self) -> io::Result<()> {
+        let left = self.left.load(Ordering::Relaxed);
+        self.left.store(left.saturating_sub(1), Ordering::Relaxed);
+        match left {
+            0 => Err(io::Error::other("killed")),
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Storage for CutOff {
+    fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+        self.call()?;
+        self.inner.read_at(buffer, offset)
+    }
+    fn write_at(&self, bytes: &[u8], offset: u64) -> io::Result<()> {
+        self.call()?;
+        self.inner.write_at(bytes, offset)
+    }
+    fn len(&self) -> io::Result<u64> {
+        self.call()?;
+        self.inner.len()
+    }
+    fn set_len(&self, length: u64) -> io::Result<()> {
+        self.call()?;
+        self.inner.set_len(length)
+    }
+    fn sync(&self) -> io::Result<()> {
+        self.call()?;
+        self.inner.sync()
+    }
+    fn lock(&self) -> io::Result<bool> {
+        self.inner.lock()
+    }
+}
+
+/// A writer is killed somewhere in its commit, and the next one acknowledges what it finds.
+fn kill_one(
+    storage: &Arc<dyn Storage>,
+    disk: &Disk,
+    states: &mut States,
+    budget: &Budget,
+    rng: &mut Rng,
+    reopened: View<'_>,
+) -> brickmarch::Result<VolumeWriter> {
+    let before = states.len() - 1;
+    let cut = Arc::new(CutOff {
+        inner: storage.clone(),
+        left: AtomicU64::new(u64::MAX),
+    });
+    let writer = tale::reopen(cut.clone(), budget)?;
+    cut.left.store(rng.below(24), Ordering::Relaxed);
+    // Most often in the middle of it; else it is done.
+    let _ = tale::step(&writer, disk, states, 1 + rng.below(2) as usize, rng);
+    drop(writer);
+    let mut seen = vec![0; BYTES];
+    tale::read(storage.clone(), budget, &mut seen)?;
+    let seen = if seen == states[before + 1] {
+        before + 1
+    } else {
+        before
+    };
+    let state = states[seen].clone();
+    states.push(state);
+    let n = states.len() - 1;
+    disk.mark(Op::Begun(n));
+    let writer = tale::reopen(reopened(storage.clone()), budget)?;
+    writer.commit()?;
+    disk.mark(Op::Acked(n));
+    Ok(writer)
+}
+
+/// Records a run; `storage` is what its writers see, `reopened` what the one after a kill sees.
 fn record(
     seed: u64,
-    commits: usize,
-    bricks: usize,
+    script: Script,
     storage: &dyn Fn(Arc<Disk>) -> Arc<dyn Storage>,
+    reopened: View<'_>,
 ) -> brickmarch::Result<Run> {
     let disk = Arc::new(Disk::new(Vec::new()));
     let budget = Budget::mib(8);
     let mut rng = Rng::new(seed);
     let mut states = vec![Vec::new()];
     let view = storage(disk.clone());
-    let mut writer = tale::start(view.clone(), &budget)?;
-    tale::step(&writer, &disk, &mut states, 8, &mut rng)?;
-    while states.len() <= commits {
-        if rng.chance(3) {
-            drop(writer);
-            writer = tale::reopen(view.clone(), &budget)?;
+    let mut source = None;
+    let mut writer;
+    if script.is_import {
+        let samples = tale::source(&mut rng);
+        states.extend([tale::first_slab(&samples), samples.clone()]);
+        let cut = Arc::new(CutOff {
+            inner: view.clone(),
+            left: AtomicU64::new(if script.reopens {
+                rng.below(90)
+            } else {
+                u64::MAX
+            }),
+        });
+        if tale::import(cut, &disk, &samples, &states, &budget).is_err() {
+            tale::import(view.clone(), &disk, &samples, &states, &budget)?;
         }
-        let some = if bricks == 0 {
-            1 + rng.below(3) as usize
-        } else {
-            bricks
+        source = Some(samples);
+        writer = tale::reopen(view.clone(), &budget)?;
+    } else {
+        writer = tale::start(view.clone(), &budget)?;
+        tale::step(&writer, &disk, &mut states, 8, &mut rng)?;
+    }
+    while states.len() <= script.commits {
+        if script.reopens && rng.chance(2) {
+            drop(writer);
+            writer = if rng.chance(2) {
+                kill_one(&view, &disk, &mut states, &budget, &mut rng, reopened)?
+            } else {
+                tale::reopen(view.clone(), &budget)?
+            };
+        }
+        let some = match script.bricks {
+            0 => 1 + rng.below(3) as usize,
+            bricks => bricks,
         };
         tale::step(&writer, &disk, &mut states, some, &mut rng)?;
     }
     Ok(Run {
         points: points(&[], &disk.take_ops(), 0),
         states,
+        source,
     })
 }
 
@@ -255,11 +375,17 @@ fn campaign(seed: u64, wanted: u64, threads: u64) -> Result<[u64; 3], String> {
 }
 
 fn one_round(worker: &mut Worker<'_>, seed: u64) -> Result<(), String> {
-    let run = record(seed, 4, 0, &|disk| disk).map_err(|e| e.to_string())?;
+    let script = Script {
+        commits: 4,
+        bricks: 0,
+        is_import: seed % 3 == 0,
+        reopens: true,
+    };
+    let run = record(seed, script, &|disk| disk, &|s| s).map_err(|e| e.to_string())?;
     for point in &run.points {
         worker.point(point, &run.states, 128)?;
         worker.at_rest(point, &run.states)?;
-        worker.again(point, &run.states, 24)?;
+        worker.again(point, &run, 24)?;
     }
     Ok(())
 }
@@ -287,17 +413,21 @@ fn no_crash_loses_or_mixes_a_commit() {
 
 /// Looks for a state that shows the mistake; says how it showed.
 fn caught(mistake: Mistake, seed: u64) -> Option<(u64, String)> {
-    let bricks = if mistake == Mistake::ReusedSpace {
-        8
-    } else {
-        0
+    let script = Script {
+        commits: 4,
+        bricks: if mistake == Mistake::ReusedSpace {
+            8
+        } else {
+            0
+        },
+        ..Script::default()
     };
     let writer = std::sync::OnceLock::new();
-    let recorded = record(seed, 4, bricks, &|disk| {
-        writer
-            .get_or_init(|| Arc::new(Broken::writer(disk, mistake)))
-            .clone()
-    });
+    let make = |disk: Arc<Disk>| -> Arc<dyn Storage> {
+        let broken: &Arc<Broken> = writer.get_or_init(|| Arc::new(Broken::writer(disk, mistake)));
+        broken.clone()
+    };
+    let recorded = record(seed, script, &make, &|s| s);
     let run = match recorded {
         Ok(run) => run,
         Err(e) => return Some((0, format!("the writer itself: {e}"))),
@@ -343,7 +473,11 @@ fn every_mistake_in_the_protocol_is_caught() {
 /// The storage of the mistakes without a mistake that shows: what it adds is not what is caught.
 #[test]
 fn the_model_finds_nothing_where_nothing_is_wrong() {
-    let run = record(0xbad, 4, 0, &|disk| disk).expect("nothing fails");
+    let script = Script {
+        commits: 4,
+        ..Script::default()
+    };
+    let run = record(0xbad, script, &|disk| disk, &|s| s).expect("nothing fails");
     let mut worker = Worker::new(1, &|s| s);
     for point in &run.points {
         worker
@@ -352,5 +486,52 @@ fn the_model_finds_nothing_where_nothing_is_wrong() {
             .unwrap_or_else(|e| panic!("{e}"));
     }
     assert!(matches!(run.points.last(), Some(p) if p.acked == 4));
-    let _ = Op::Sync;
+}
+
+/// The first sync does nothing: that of a writer which opens what a killed one left.
+struct OpensUnsynced(Arc<dyn Storage>, AtomicBool);
+
+impl Storage for OpensUnsynced {
+    fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+        self.0.read_at(buffer, offset)
+    }
+    fn write_at(&self, bytes: &[u8], offset: u64) -> io::Result<()> {
+        self.0.write_at(bytes, offset)
+    }
+    fn len(&self) -> io::Result<u64> {
+        self.0.len()
+    }
+    fn set_len(&self, length: u64) -> io::Result<()> {
+        self.0.set_len(length)
+    }
+    fn sync(&self) -> io::Result<()> {
+        match self.1.swap(true, Ordering::Relaxed) {
+            true => self.0.sync(),
+            false => Ok(()),
+        }
+    }
+    fn lock(&self) -> io::Result<bool> {
+        self.0.lock()
+    }
+}
+
+/// A process that is killed leaves what only the kernel has; a writer that takes it for committed
+/// without a sync loses it with the power.
+#[test]
+fn a_writer_that_opens_without_a_sync_is_caught() {
+    let how = (0..200).find_map(|seed| {
+        let script = Script {
+            commits: 4,
+            reopens: true,
+            ..Script::default()
+        };
+        let unsynced: View<'_> = &|s| Arc::new(OpensUnsynced(s, AtomicBool::new(false)));
+        let run = record(seed, script, &|disk| disk, unsynced).expect("nothing fails");
+        let mut worker = Worker::new(seed, &|s| s);
+        let mut points = run.points.iter();
+        points.find_map(|point| worker.point(point, &run.states, 50).err())
+    });
+    let how = how.expect("a mistake that is not caught");
+    let how = how.split("; ").next().unwrap_or_default();
+    figure(&format!("crash model, OpensUnsynced: caught: {how}"));
 }

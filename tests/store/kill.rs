@@ -5,7 +5,8 @@ use crate::support::report::{figure, skipped};
 use crate::support::rng::Rng;
 use crate::support::scratch::{Scratch, bytes};
 use brickmarch::Budget;
-use brickmarch::store::verify;
+use brickmarch::store::{Volume, partial_path, verify};
+use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -57,7 +58,7 @@ fn a_killed_import_leaves_a_whole_file_or_none() {
     let want = bytes(&whole);
 
     let kills = std::env::var("BRICKMARCH_KILLS").ok();
-    let kills = kills.and_then(|v| v.parse().ok()).unwrap_or(20u32);
+    let kills = kills.and_then(|v| v.parse().ok()).unwrap_or(25u32);
     let mut rng = Rng::new(9);
     let (mut done, mut none) = (0, 0);
     for kill in 0..kills {
@@ -87,6 +88,104 @@ fn a_killed_import_leaves_a_whole_file_or_none() {
     }
     figure(&format!(
         "kill -9 of an import: {kills} kills, {none} left nothing under the final name, {done} a whole file; 0 partial, 0 wrong"
+    ));
+}
+
+/// Writes a source of three commits (each 256 MiB of samples), most of it holes; gives its `--dims`.
+fn long_raw(scratch: &Scratch) -> (PathBuf, String) {
+    let size = [640u64, 640, 1400];
+    let raw = scratch.path("long.raw");
+    let mut file = std::fs::File::create(&raw).expect("scratch is writable");
+    file.set_len(size.iter().product())
+        .expect("a file with holes");
+    let mut rng = Rng::new(6);
+    for part in 0..40 {
+        let noise: Vec<u8> = (0..20_000).map(|_| rng.next() as u8 | 1).collect();
+        file.seek(SeekFrom::Start(part * 14_000_000))
+            .expect("seeks");
+        file.write_all(&noise).expect("scratch is writable");
+    }
+    (raw, size.map(|n| n.to_string()).join(","))
+}
+
+/// `BRICKMARCH_KILLS` sets the number of kills, a tenth of which are of this kind.
+#[test]
+fn a_killed_import_is_resumed_to_the_same_file() {
+    let scratch = Scratch::new("resume");
+    let (raw, dims) = long_raw(&scratch);
+    let line = |out: &Path| {
+        let line = [
+            "import", "@", "@", "--dims", &dims, "--type", "u8", "-q", "--resume",
+        ];
+        words(&line, &[&raw, out])
+    };
+    let whole = scratch.path("whole.bvol");
+    let begin = Instant::now();
+    brickmarch(line(&whole)).success();
+    let usual = begin.elapsed();
+    let want = bytes(&whole);
+    let kills = std::env::var("BRICKMARCH_KILLS").ok();
+    let kills = kills
+        .and_then(|v| v.parse().ok())
+        .unwrap_or(25u32)
+        .div_ceil(10);
+    let mut rng = Rng::new(10);
+    let out = scratch.path("out.bvol");
+    let partial = partial_path(&out);
+    let (mut kept, mut resumed, mut finished) = (0, 0, 0);
+    let mut finish = |rename: bool| {
+        if rename {
+            brickmarch(line(&out)).success();
+        }
+        assert!(bytes(&out) == want, "a resumed import made another file");
+        assert_intact(&out);
+        std::fs::remove_file(&out).expect("removes");
+        assert!(!partial.exists());
+        finished += 1;
+    };
+    for kill in 0..kills {
+        let mut child = start(line(&out));
+        // Every other one as soon as there is a commit to go on from.
+        while kill % 2 == 0
+            && Volume::open(&partial, &Budget::mib(16)).is_err()
+            && child.try_wait().expect("the child is ours").is_none()
+        {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        let most = if kill % 2 == 0 { 300 } else { 1000 };
+        let wait = usual.as_micros() as u64 * rng.below(most) / 1000;
+        std::thread::sleep(Duration::from_micros(wait));
+        child.kill().expect("the child is ours");
+        child.wait().expect("waiting for a child works");
+        if out.exists() {
+            finish(false);
+            kept = 0;
+            continue;
+        }
+        let slabs = match Volume::open(&partial, &Budget::mib(16)) {
+            Ok(volume) => {
+                assert_intact(&partial);
+                // A whole volume that was not renamed has all of them.
+                let info = volume.info().expect("info");
+                info.unfinished_slabs.unwrap_or(u32::MAX)
+            }
+            Err(_) => 0,
+        };
+        assert!(
+            slabs >= kept,
+            "kill {kill}: {slabs} slabs where {kept} were committed"
+        );
+        resumed += u32::from(slabs > 0);
+        kept = slabs;
+        if kill % 4 == 3 {
+            finish(true);
+            kept = 0;
+        }
+    }
+    finish(true);
+    assert!(resumed > 0, "no import was ever resumed");
+    figure(&format!(
+        "kill -9 of a long import: {kills} kills, {resumed} left commits to resume, {finished} times finished to the same file"
     ));
 }
 

@@ -1,6 +1,7 @@
 //! The file format from outside: damage of every byte, hostile files, files of every
 //! version, and an independent reader; and against what a disk may do: crashes, faults, kills.
 
+mod beside;
 mod broken;
 mod changed;
 mod crash;
@@ -8,6 +9,7 @@ mod damage;
 mod disk;
 mod far;
 mod faults;
+mod fence;
 mod golden;
 mod handmade;
 mod hostile;

@@ -101,8 +101,8 @@ pub(crate) fn points(image: &[u8], ops: &[Op], acked: usize) -> Vec<Point> {
         });
         match ops.get(calls) {
             None => {}
-            Some(Op::Begun(n)) => begun = *n,
-            Some(Op::Acked(n)) => acked = *n,
+            Some(Op::Begun(n)) => begun = begun.max(*n),
+            Some(Op::Acked(n)) => acked = acked.max(*n),
             Some(Op::SetLen(length)) => {
                 now.resize(*length as usize, 0);
                 lengths.push(now.len());
@@ -296,6 +296,18 @@ impl Point {
             back(choice.length, self.durable.len());
         }
         both.1 = self.durable.len();
+    }
+
+    /// Whether an unfinished commit, of a writer that was killed, follows the last one. With a
+    /// superblock damaged nobody can then tell whether it is a newer one that was lost.
+    pub(crate) fn has_tail(&self) -> bool {
+        let ends = [4096 + 16, 8192 + 16].map(|at| {
+            let bytes = self.durable.get(at..at + 8);
+            bytes.map_or(0, |b| {
+                u64::from_le_bytes(b.try_into().expect("eight bytes"))
+            })
+        });
+        self.durable.len() as u64 > ends[0].max(ends[1])
     }
 
     /// Whether everything that was written is synced.

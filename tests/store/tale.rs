@@ -2,8 +2,9 @@
 
 use super::disk::{Disk, Op};
 use crate::support::rng::Rng;
-use brickmarch::store::{Storage, Volume, VolumeSpec, VolumeWriter};
+use brickmarch::store::{ImportOptions, Storage, Volume, VolumeSpec, VolumeWriter, import_in};
 use brickmarch::{Box3, Budget, ErrorKind, Grid, Result, SampleType};
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -92,6 +93,82 @@ pub(crate) fn step(
     disk.mark(Op::Begun(n));
     writer.commit()?;
     disk.mark(Op::Acked(n));
+    Ok(())
+}
+
+/// Samples of the source of an import.
+pub(crate) fn source(rng: &mut Rng) -> Vec<u8> {
+    let mut samples = vec![0; BYTES];
+    change(&mut samples, 8, rng);
+    samples
+}
+
+/// What is there after the first of the two commits of an import.
+pub(crate) fn first_slab(source: &[u8]) -> Vec<u8> {
+    let mut samples = source.to_vec();
+    samples[BYTES / 2..].fill(0);
+    samples
+}
+
+/// A source that says on the disk which commit of the import may come next, and which one is done,
+/// when the import asks for samples behind them.
+struct Told<'a> {
+    samples: &'a [u8],
+    at: usize,
+    disk: &'a Disk,
+    /// Number of the state of the first slab.
+    first: usize,
+}
+
+impl io::Read for Told<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        // A slab at a time; the second is asked for when the first is committed.
+        let slab = BYTES / 2;
+        let end = (self.at / slab + 1) * slab;
+        let n = buffer.len().min(end.min(BYTES) - self.at);
+        buffer[..n].copy_from_slice(&self.samples[self.at..self.at + n]);
+        if self.at >= slab {
+            self.disk.mark(Op::Acked(self.first));
+            self.disk.mark(Op::Begun(self.first + 1));
+        } else {
+            self.disk.mark(Op::Begun(self.first));
+        }
+        self.at += n;
+        Ok(n)
+    }
+}
+
+/// Imports `samples` in two commits, or goes on with such an import. The states of both must be the
+/// last two of `states`.
+pub(crate) fn import(
+    storage: Arc<dyn Storage>,
+    disk: &Disk,
+    samples: &[u8],
+    states: &States,
+    budget: &Budget,
+) -> Result<()> {
+    let first = states.len() - 2;
+    let mut source = Told {
+        samples,
+        at: 0,
+        disk,
+        first,
+    };
+    let options = ImportOptions {
+        resume: true,
+        levels: 0,
+    };
+    let slab = BYTES as u64 / 2;
+    import_in(
+        storage,
+        name(),
+        &mut source,
+        &spec(),
+        &options,
+        slab,
+        budget,
+    )?;
+    disk.mark(Op::Acked(first + 1));
     Ok(())
 }
 

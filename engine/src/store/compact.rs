@@ -48,9 +48,9 @@ pub fn compact(path: &Path, out: &Path, budget: &Budget) -> Result<VolumeInfo> {
     let all = live_volumes(&file)?;
     let (target, aside) = create_aside(out)?;
     let storage = Arc::new(FileStorage(target));
-    take_lock(storage.as_ref(), aside.path())?;
+    let is_locked = take_lock(storage.as_ref(), aside.path())?;
     let first = all[0].1.spec.clone();
-    let writer = VolumeWriter::start(storage, out, &first, budget, Some(aside))?;
+    let writer = VolumeWriter::start(storage, is_locked, out, &first, budget, Some(aside))?;
     copy(&file, &all, writer, budget)
 }
 

@@ -7,9 +7,11 @@ use super::encode::BrickEncoder;
 use super::open::{NO_COMMIT, Opened};
 use super::spec::{VolumeInfo, VolumeSpec};
 use super::storage::{FileStorage, Storage};
+use super::volume::Volume;
 use super::writer::{VolumeWriter, take_lock};
 use crate::budget::{Budget, Permit, human_bytes};
 use crate::error::{Error, ErrorKind, Result};
+use crate::lattice::Box3;
 use crossbeam::channel::{Receiver, Sender, bounded};
 use std::fs::{File, OpenOptions};
 use std::io::Read;
@@ -98,6 +100,51 @@ pub fn import_plain(
     import_committing(source, plain, spec, out, options, COMMIT_BYTES, budget)
 }
 
+/// [`import_with`] into `storage`, whose content is replaced unless it is an import that `options`
+/// say to resume; a commit after each `commit_bytes` of samples. `name` is for messages.
+///
+/// # Errors
+/// As [`import_with`]; the storage then holds the last commit.
+///
+/// # Memory
+/// As [`import_with`]; a scratch file would be beside `name`.
+pub fn import_in(
+    storage: Arc<dyn Storage>,
+    name: &Path,
+    source: &mut dyn Read,
+    spec: &VolumeSpec,
+    options: &ImportOptions,
+    commit_bytes: u64,
+    budget: &Budget,
+) -> Result<VolumeInfo> {
+    spec.validate().map_err(|e| e.context(name.display()))?;
+    let is_locked = take_lock(storage.as_ref(), name)?;
+    let resumed = match options.resume {
+        true => resume(storage.clone(), is_locked, spec, name, name, budget)?,
+        false => None,
+    };
+    let begun = match resumed {
+        Some(writer) => (writer, true),
+        None => {
+            storage
+                .set_len(0)
+                .map_err(|e| Error::io(name, "removing what an earlier import left", e))?;
+            let writer = VolumeWriter::start(storage, is_locked, name, spec, budget, None)?;
+            (writer, false)
+        }
+    };
+    run(
+        begun,
+        source,
+        None,
+        name,
+        name,
+        options,
+        commit_bytes,
+        budget,
+    )
+}
+
 fn import_committing(
     source: &mut dyn Read,
     plain: Option<(&File, u64)>,
@@ -108,7 +155,42 @@ fn import_committing(
     budget: &Budget,
 ) -> Result<VolumeInfo> {
     spec.validate().map_err(|e| e.context(out.display()))?;
-    let (mut writer, resumed) = start(spec, out, options, budget)?;
+    let begun = start(spec, out, options, budget)?;
+    let place = partial_path(out);
+    run(
+        begun,
+        source,
+        plain,
+        &place,
+        out,
+        options,
+        commit_bytes,
+        budget,
+    )
+}
+
+/// Fills the file at `place`, which will be at `out`.
+#[expect(clippy::too_many_arguments, reason = "the parts of an import")]
+fn run(
+    (mut writer, resumed): (VolumeWriter, bool),
+    source: &mut dyn Read,
+    plain: Option<(&File, u64)>,
+    place: &Path,
+    out: &Path,
+    options: &ImportOptions,
+    commit_bytes: u64,
+    budget: &Budget,
+) -> Result<VolumeInfo> {
+    if resumed && writer.parts[0].mark().0 == 0 {
+        // Killed before the rename.
+        return match check_whole(source, &mut writer, place, options, budget) {
+            Ok(()) => writer.finish(),
+            Err(e) => {
+                writer.keep();
+                Err(e)
+            }
+        };
+    }
     let filled = fill(source, plain, &writer, out, commit_bytes, budget)
         .and_then(|()| match options.levels {
             0 => Ok(()),
@@ -125,16 +207,63 @@ fn import_committing(
             let again = !matches!(e.kind(), ErrorKind::Truncated | ErrorKind::BadInput);
             let e = if again { e } else { e.context(out.display()) };
             if resumed || (again && slabs > 0) {
+                let all = writer.bricks()[2];
                 writer.keep();
-                let all = spec.bricks()[2];
                 return Err(e.followed_by(&format!(
                     "; {} keeps {slabs} of {all} slabs: resume the import to go on",
-                    partial_path(out).display()
+                    place.display()
                 )));
             }
             Err(e)
         }
     }
+}
+
+/// Compares the source with the whole volume that an import left, which no longer knows the checksum
+/// of its source.
+fn check_whole(
+    source: &mut dyn Read,
+    writer: &mut VolumeWriter,
+    place: &Path,
+    options: &ImportOptions,
+    budget: &Budget,
+) -> Result<()> {
+    let volume = Volume::open_in(writer.log.storage.clone(), place, budget)?;
+    let Box3 { min, max } = volume.spec().grid.domain;
+    let size = volume.spec().grid.domain.size().map(u64::from);
+    let row = size[0].saturating_mul(volume.spec().sample.bytes() as u64);
+    let rows = (CHUNK as u64 / row.max(1)).clamp(1, size[1]);
+    let total = row.saturating_mul(size[1]).saturating_mul(size[2]);
+    let _permit = budget.take(2 * rows * row, "comparing with the source")?;
+    let mut wanted = vec![0; (rows * row) as usize];
+    let mut there = wanted.clone();
+    let mut done = 0;
+    for k in min[2]..max[2] {
+        for j in (min[1]..max[1]).step_by(rows as usize) {
+            budget.check_cancelled()?;
+            let end = max[1].min(j.saturating_add(rows as i32));
+            let n = ((end - j) as u64 * row) as usize;
+            read_all(source, &mut wanted[..n], done, total)?;
+            volume.read_raw(
+                Box3::new([min[0], j, k], [max[0], end, k + 1]),
+                &mut there[..n],
+            )?;
+            if wanted[..n] != there[..n] {
+                return Err(Error::bad_input(format!(
+                    "{}: a whole volume, but not of this source (bytes {done} to {} differ): import again without resuming",
+                    place.display(),
+                    done + n as u64
+                )));
+            }
+            done += n as u64;
+        }
+    }
+    check_end(source, total)?;
+    if volume.levels() < options.levels {
+        writer.build_levels(options.levels)?;
+        writer.commit()?;
+    }
+    Ok(())
 }
 
 /// The writer of a new import, or of the one that is to go on.
@@ -155,11 +284,11 @@ fn start(
     match open(false) {
         Ok(file) => {
             let storage = Arc::new(FileStorage(file));
-            take_lock(storage.as_ref(), &place)?;
+            let is_locked = take_lock(storage.as_ref(), &place)?;
             if options.resume
-                && let Some(writer) = resume(storage, spec, out, budget)?
+                && let Some(writer) = resume(storage, is_locked, spec, &place, out, budget)?
             {
-                return Ok((writer, true));
+                return Ok((writer.with_aside(Aside::existing(place)), true));
             }
             std::fs::remove_file(&place)
                 .map_err(|e| Error::io(&place, "removing what an earlier import left", e))?;
@@ -170,22 +299,25 @@ fn start(
     let file = open(true).map_err(|e| Error::io(&place, "creating the file", e))?;
     let aside = Aside::existing(place.clone());
     let storage = Arc::new(FileStorage(file));
-    take_lock(storage.as_ref(), &place)?;
-    let writer = VolumeWriter::start(storage, out, spec, budget, Some(aside))?;
+    let is_locked = take_lock(storage.as_ref(), &place)?;
+    let writer = VolumeWriter::start(storage, is_locked, out, spec, budget, Some(aside))?;
     Ok((writer, false))
 }
 
-/// The writer that goes on with `storage`; `None` when that has no commit yet.
+/// The writer that goes on with `storage`; `None` when there is no commit yet.
 fn resume(
     storage: Arc<dyn Storage>,
+    is_locked: bool,
     spec: &VolumeSpec,
+    place: &Path,
     out: &Path,
     budget: &Budget,
 ) -> Result<Option<VolumeWriter>> {
-    let place = partial_path(out);
-    // Killed before the first commit.
-    match Opened::open(storage.clone(), &place) {
-        Err(e) if e.kind() == ErrorKind::Truncated => return Ok(None),
+    match Opened::open(storage.clone(), place) {
+        // Killed before the first commit; a loss of power then may leave zeros for the header.
+        Err(e) if matches!(e.kind(), ErrorKind::Truncated | ErrorKind::NotAVolume) => {
+            return Ok(None);
+        }
         Err(e) if e.kind() == ErrorKind::DamagedRoot && e.to_string().contains(NO_COMMIT) => {
             return Ok(None);
         }
@@ -196,20 +328,14 @@ fn resume(
         Err(e) => return Err(e),
         Ok(_) => {}
     }
-    let writer = VolumeWriter::resume(storage, &place, out, false, budget)?;
+    let writer = VolumeWriter::resume(storage, is_locked, place, out, false, budget)?;
     if writer.spec() != spec {
         return Err(Error::bad_input(format!(
             "{}: begun from another source or with other settings: import again without resuming",
             place.display()
         )));
     }
-    if writer.parts[0].mark().0 == 0 {
-        return Err(Error::bad_input(format!(
-            "{}: a whole volume, not an import that was stopped: rename it",
-            place.display()
-        )));
-    }
-    Ok(Some(writer.with_aside(Aside::existing(place))))
+    Ok(Some(writer))
 }
 
 /// Where the samples of a slab are.
@@ -454,16 +580,20 @@ fn feed(
             writer.commit()?;
         }
     }
+    check_end(source, total)?;
+    writer.parts[0].set_mark((bz, crc));
+    Ok(())
+}
+
+/// Nothing follows the `total` bytes of the domain.
+fn check_end(source: &mut dyn Read, total: u64) -> Result<()> {
     match source.read(&mut [0]) {
-        Ok(0) => {
-            writer.parts[0].set_mark((bz, crc));
-            Ok(())
-        }
+        Ok(0) => Ok(()),
         Ok(_) => Err(Error::bad_input(format!(
             "the source goes on after the {total} bytes ({}) of the domain: check dimensions and type",
             human_bytes(total)
         ))),
-        Err(e) => Err(source_error(e, done)),
+        Err(e) => Err(source_error(e, total)),
     }
 }
 
@@ -608,7 +738,7 @@ mod tests {
     use super::super::tests::{Dense, mixed, spec};
     use super::super::{Volume, verify};
     use super::*;
-    use crate::{Box3, Field, Grid, SampleType};
+    use crate::{Field, Grid, SampleType};
 
     #[test]
     fn same_bytes_for_any_number_of_threads_and_through_the_scratch_file() {
@@ -772,11 +902,19 @@ mod tests {
             assert!(std::fs::read(&out).expect("is there") == whole);
             assert_eq!(entries(), 1);
             std::fs::remove_file(&out).expect("removes");
+            // Killed before the rename: it is renamed when it is of this source.
+            std::fs::write(partial_path(&out), &whole).expect("writes");
+            let error = import(&mut &other[..], 1).expect_err("another source");
+            assert_eq!(error.kind(), ErrorKind::BadInput, "{error}");
+            import(&mut &dense.raw[..], 1).expect("renames");
+            assert!(std::fs::read(&out).expect("is there") == whole);
+            assert_eq!(entries(), 1);
+            std::fs::remove_file(&out).expect("removes");
             // Without resuming what is left over is replaced; rubbish too small for a commit as well.
             stops(slab * 4, 1);
             import_stream(&mut &dense.raw[..], &spec, &out, &budget).expect("anew");
             std::fs::remove_file(&out).expect("removes");
-            for rubbish in [&[][..], &whole[..5000], &whole[..12288]] {
+            for rubbish in [&[][..], &whole[..5000], &whole[..12288], &[0; 20_000]] {
                 std::fs::write(partial_path(&out), rubbish).expect("writes");
                 import(&mut &dense.raw[..], 1).expect("anew");
                 assert!(std::fs::read(&out).expect("is there") == whole);

@@ -21,6 +21,8 @@ pub(crate) struct Log {
     generation: AtomicU64,
     state: Mutex<State>,
     health: AtomicU8,
+    /// Whether a lock keeps other writers away.
+    is_locked: bool,
 }
 
 /// Everything is as it should be.
@@ -60,6 +62,7 @@ impl Log {
     /// Starts a file in empty `storage`: header, both superblocks at generation 0, header copy.
     pub(crate) fn create(
         storage: Arc<dyn Storage>,
+        is_locked: bool,
         path: PathBuf,
         file_id: &[u8; FILE_ID_BYTES],
         incompat: u64,
@@ -69,7 +72,7 @@ impl Log {
             log_end: LOG_START,
             ..Superblock::default()
         };
-        let log = Log::at(storage, path, seed, root);
+        let log = Log::at(storage, is_locked, path, seed, root);
         let header = header_block(file_id, incompat);
         log.write(&header, 0)?;
         // Slot A stays empty until the first commit: an invalid superblock.
@@ -82,7 +85,7 @@ impl Log {
     }
 
     /// Goes on where `file` ends.
-    pub(crate) fn open(file: &Opened) -> Result<Log> {
+    pub(crate) fn open(file: &Opened, is_locked: bool) -> Result<Log> {
         if file.root.generation >= u64::MAX - 1 {
             return Err(file.error(
                 ErrorKind::LimitExceeded,
@@ -94,6 +97,7 @@ impl Log {
         }
         let log = Log::at(
             file.storage.clone(),
+            is_locked,
             file.path.clone(),
             file.seed,
             file.root,
@@ -119,7 +123,13 @@ impl Log {
         self.sync("syncing a repaired superblock")
     }
 
-    fn at(storage: Arc<dyn Storage>, path: PathBuf, seed: u32, root: Superblock) -> Log {
+    fn at(
+        storage: Arc<dyn Storage>,
+        is_locked: bool,
+        path: PathBuf,
+        seed: u32,
+        root: Superblock,
+    ) -> Log {
         Log {
             storage,
             path,
@@ -133,6 +143,7 @@ impl Log {
                 root,
             }),
             health: AtomicU8::new(SOUND),
+            is_locked,
         }
     }
 
@@ -201,8 +212,9 @@ impl Log {
     pub(crate) fn reserve(&self, bytes: &[u8], refs: &[Ref]) -> Result<u64> {
         self.check()?;
         let mut state = self.state();
-        if state.records == 0 && state.root.generation > 0 {
-            // Bytes of a foreign commit must not be overwritten either.
+        if (state.records == 0 || !self.is_locked) && state.root.generation > 0 {
+            // Bytes of a foreign commit must not be overwritten either; without a lock it may come
+            // at any time.
             self.check_fence(&state.root)?;
         }
         let offset = state.end;

@@ -54,7 +54,9 @@ mod writer;
 
 pub use compact::{compact, compact_in};
 pub use damage::OnDamage;
-pub use import::{ImportOptions, import_plain, import_stream, import_with, partial_path};
+pub use import::{
+    ImportOptions, import_in, import_plain, import_stream, import_with, partial_path,
+};
 pub use label::LabelField;
 pub use spec::{VolumeInfo, VolumeSpec, default_brick_edge};
 pub use storage::{FileStorage, MemoryStorage, Storage};

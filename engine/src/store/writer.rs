@@ -132,8 +132,8 @@ impl VolumeWriter {
         spec.validate().map_err(|e| e.context(path.display()))?;
         let (file, aside) = create_aside(path)?;
         let storage = Arc::new(FileStorage(file));
-        take_lock(storage.as_ref(), aside.path())?;
-        Self::start(storage, path, spec, budget, Some(aside))
+        let is_locked = take_lock(storage.as_ref(), aside.path())?;
+        Self::start(storage, is_locked, path, spec, budget, Some(aside))
     }
 
     /// Starts a volume in empty `storage`; `name` is for messages.
@@ -147,8 +147,8 @@ impl VolumeWriter {
         budget: &Budget,
     ) -> Result<Self> {
         spec.validate().map_err(|e| e.context(name.display()))?;
-        take_lock(storage.as_ref(), name)?;
-        Self::start(storage, name, spec, budget, None)
+        let is_locked = take_lock(storage.as_ref(), name)?;
+        Self::start(storage, is_locked, name, spec, budget, None)
     }
 
     /// Opens the file at `path` for changes. One writer at a time: it holds an advisory lock, and
@@ -171,9 +171,9 @@ impl VolumeWriter {
     /// # Errors
     /// As [`open`](Self::open).
     pub fn open_in(storage: Arc<dyn Storage>, name: &Path, budget: &Budget) -> Result<Self> {
-        take_lock(storage.as_ref(), name)?;
+        let is_locked = take_lock(storage.as_ref(), name)?;
         let random = RandomState::new().build_hasher().finish();
-        let mut writer = Self::resume(storage, name, name, true, budget)?;
+        let mut writer = Self::resume(storage, is_locked, name, name, true, budget)?;
         writer.writer = random | 1;
         if writer.parts[0].mark().0 != 0 {
             return Err(Error::bad_input(format!(
@@ -186,6 +186,7 @@ impl VolumeWriter {
 
     pub(super) fn start(
         storage: Arc<dyn Storage>,
+        is_locked: bool,
         path: &Path,
         spec: &VolumeSpec,
         budget: &Budget,
@@ -196,7 +197,7 @@ impl VolumeWriter {
         // A file that starts with other samples stays readable without that codec.
         let rows = spec.sample == SampleType::F32;
         let incompat = if rows { INCOMPAT_ROWS } else { 0 };
-        let log = Log::create(storage.clone(), place.clone(), &id, incompat)?;
+        let log = Log::create(storage.clone(), is_locked, place.clone(), &id, incompat)?;
         let file = Opened {
             storage,
             path: place,
@@ -233,6 +234,7 @@ impl VolumeWriter {
     /// Goes on with the file in `storage`, which is at `place` and will be at `path`.
     pub(super) fn resume(
         storage: Arc<dyn Storage>,
+        is_locked: bool,
         place: &Path,
         path: &Path,
         replace: bool,
@@ -271,7 +273,7 @@ impl VolumeWriter {
         }
         Ok(Self {
             rows: file.incompat & INCOMPAT_ROWS != 0,
-            log: Log::open(&file)?,
+            log: Log::open(&file, is_locked)?,
             parts,
             saved: Mutex::new(Saved { file, parts: saved }),
             gate: RwLock::default(),
@@ -586,15 +588,16 @@ impl VolumeWriter {
     }
 }
 
-pub(super) fn take_lock(storage: &dyn Storage, path: &Path) -> Result<()> {
+/// Whether the file is locked now: some network file systems have no locks, and only the fence
+/// remains.
+pub(super) fn take_lock(storage: &dyn Storage, path: &Path) -> Result<bool> {
     match storage.lock() {
-        Ok(true) => Ok(()),
+        Ok(true) => Ok(true),
         Ok(false) => Err(Error::new(
             ErrorKind::ForeignWriter,
             format!("{}: locked by another writer", path.display()),
         )),
-        // Some network file systems have no locks; the fence of the commit remains.
-        Err(_) => Ok(()),
+        Err(_) => Ok(false),
     }
 }
 
