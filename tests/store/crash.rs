@@ -378,7 +378,7 @@ fn one_round(worker: &mut Worker<'_>, seed: u64) -> Result<(), String> {
     let script = Script {
         commits: 4,
         bricks: 0,
-        is_import: seed % 3 == 0,
+        is_import: seed.is_multiple_of(3),
         reopens: true,
     };
     let run = record(seed, script, &|disk| disk, &|s| s).map_err(|e| e.to_string())?;
