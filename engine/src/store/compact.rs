@@ -177,6 +177,7 @@ impl Copy<'_> {
             self.old,
             &place,
             &mut self.buffer,
+            None,
         )?;
         if head.key != morton_encode(at)
             || head.level != 0

@@ -26,6 +26,8 @@ pub mod fuzzing;
 #[cfg(test)]
 mod hostile_tests;
 mod import;
+#[cfg(test)]
+mod import_tests;
 mod label;
 mod layout;
 mod lod;
@@ -41,6 +43,8 @@ mod patch;
 mod reader_tests;
 mod record;
 mod rows;
+mod slabs;
+mod source;
 mod spec;
 mod storage;
 #[cfg(test)]

@@ -19,8 +19,6 @@ use std::sync::Arc;
 
 /// Times that the root is looked for while a writer publishes.
 const OPEN_TRIES: u32 = 100;
-/// What is said of a file without any commit.
-pub(crate) const NO_COMMIT: &str = "no whole commit is left";
 
 /// A file whose root is known.
 #[derive(Clone)]
@@ -54,6 +52,35 @@ impl Opened {
     /// # Errors
     /// `NotAVolume`, `Newer`, `Truncated`, `DamagedRoot`.
     pub(crate) fn open(storage: Arc<dyn Storage>, path: &Path) -> Result<Opened> {
+        let opened = Self::find(storage, path)?;
+        if opened.root.generation == 0 {
+            let kind = if opened.length <= LOG_START {
+                ErrorKind::Truncated
+            } else {
+                ErrorKind::DamagedRoot
+            };
+            return Err(opened.error(
+                kind,
+                "no whole commit is left: the volume was never finished, or its root is damaged",
+            ));
+        }
+        Ok(opened)
+    }
+
+    /// Whether the file has a commit to go on from: one that was cut off or begun only has none.
+    ///
+    /// # Errors
+    /// `Newer`, `DamagedRoot` where a commit may be lost, `Io`.
+    pub(crate) fn has_commit(storage: Arc<dyn Storage>, path: &Path) -> Result<bool> {
+        match Self::find(storage, path) {
+            Ok(opened) => Ok(opened.root.generation > 0),
+            Err(e) if matches!(e.kind(), ErrorKind::Truncated | ErrorKind::NotAVolume) => Ok(false),
+            Err(e) => Err(e),
+        }
+    }
+
+    /// Finds the root; of generation 0 where there is no commit.
+    fn find(storage: Arc<dyn Storage>, path: &Path) -> Result<Opened> {
         let length = length_of(storage.as_ref(), path)?;
         let mut notes = Vec::new();
         let (id, incompat, ro_compat) = find_id(storage.as_ref(), path, length, &mut notes)?;
@@ -156,18 +183,7 @@ impl Opened {
             }
         };
         self.superblocks = roots;
-        if root.generation == 0 {
-            let kind = if self.length <= LOG_START {
-                ErrorKind::Truncated
-            } else {
-                ErrorKind::DamagedRoot
-            };
-            return Err(self.error(
-                kind,
-                format!("{NO_COMMIT}: the volume was never finished, or its root is damaged"),
-            ));
-        }
-        if root.log_end > self.length {
+        if root.generation > 0 && root.log_end > self.length {
             return Err(self.error(
                 ErrorKind::Truncated,
                 format!(
@@ -352,7 +368,7 @@ impl Opened {
     }
 
     /// Reads the record that `reference` names into `buffer` and gives its head; the payload follows
-    /// at [`RECORD_HEADER`]. The caller has checked that the length is one that may be.
+    /// at [`RECORD_HEADER`]. Who reads many has an `ahead`.
     ///
     /// # Errors
     /// `Damaged` where the record is not the one that the reference was made for.
@@ -363,19 +379,7 @@ impl Opened {
         volume: u16,
         place: &dyn Fn() -> String,
         buffer: &mut Vec<u8>,
-    ) -> Result<Head> {
-        self.read_record_ahead(reference, kind, volume, place, buffer, &mut None)
-    }
-
-    /// [`read_record`](Self::read_record), for somebody who reads many.
-    pub(crate) fn read_record_ahead(
-        &self,
-        reference: &Ref,
-        kind: RecordKind,
-        volume: u16,
-        place: &dyn Fn() -> String,
-        buffer: &mut Vec<u8>,
-        ahead: &mut Option<Ahead>,
+        ahead: Option<&mut Ahead>,
     ) -> Result<Head> {
         let damaged = |what: String| {
             self.error(
@@ -454,7 +458,7 @@ impl Opened {
         buffer: &mut Vec<u8>,
     ) -> Result<Page> {
         let place = || format!("of level {level} at brick {origin:?}");
-        let head = self.read_record(&reference, RecordKind::Page, volume, &place, buffer)?;
+        let head = self.read_record(&reference, RecordKind::Page, volume, &place, buffer, None)?;
         let damaged =
             |what: String| self.error(ErrorKind::Damaged, format!("node page {}: {what}", place()));
         if (head.level, head.key) != (level, morton_encode(origin)) {
@@ -473,7 +477,7 @@ impl Opened {
         let catalog = &self.root.catalog;
         let place = || "of the root".to_string();
         let head = self
-            .read_record(catalog, RecordKind::Catalog, 0, &place, &mut buffer)
+            .read_record(catalog, RecordKind::Catalog, 0, &place, &mut buffer, None)
             .map_err(damaged_root)?;
         if head.generation != self.root.generation {
             return Err(self.error(
@@ -502,7 +506,7 @@ impl Opened {
         let mut buffer = Vec::new();
         let mut read = |reference: &Ref, kind: RecordKind| -> Result<Vec<u8>> {
             let place = || format!("of volume {volume}");
-            self.read_record(reference, kind, volume, &place, &mut buffer)
+            self.read_record(reference, kind, volume, &place, &mut buffer, None)
                 .map_err(damaged_root)?;
             Ok(buffer[RECORD_HEADER..][..reference.length as usize].to_vec())
         };

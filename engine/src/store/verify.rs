@@ -369,6 +369,7 @@ impl Walk<'_> {
             self.number,
             &place,
             &mut self.buffer,
+            None,
         )?;
         let damaged = |what: &str| {
             self.file.error(

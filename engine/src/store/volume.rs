@@ -60,7 +60,7 @@ pub struct Volume {
 struct Buffers {
     record: Vec<u8>,
     planes: Vec<u8>,
-    ahead: Option<Ahead>,
+    ahead: Ahead,
     _permit: Permit,
 }
 
@@ -476,7 +476,7 @@ impl Volume {
             // Never grown: growth by doubling would go beyond the permit.
             record: Vec::with_capacity(record_bytes(self.rules.brick_bytes) as usize),
             planes: Vec::with_capacity(bytes as usize),
-            ahead: Some(Ahead::default()),
+            ahead: Ahead::default(),
             _permit: permit,
         })
     }
@@ -489,13 +489,13 @@ impl Volume {
         out: &mut [u8],
     ) -> Result<()> {
         let place = || format!("{brick:?} (samples {})", self.spec.brick_box(brick));
-        let head = self.file.read_record_ahead(
+        let head = self.file.read_record(
             &reference,
             RecordKind::Brick,
             self.number,
             &place,
             &mut buffers.record,
-            &mut buffers.ahead,
+            Some(&mut buffers.ahead),
         )?;
         if head.key != morton_encode(brick) || head.level != 0 || head.decoded as usize != out.len()
         {

@@ -143,13 +143,9 @@ pub(super) fn import_file(
     );
     spec.name = file_name(source);
     change(&mut spec);
-    let reader = &mut opened.reader;
     let info = match &opened.plain {
-        Some(plain) => {
-            let place = (&plain.file, plain.offset);
-            store::import_plain(reader, place, &spec, out, how, budget)
-        }
-        None => store::import_with(reader, &spec, out, how, budget),
+        Some(plain) => store::import_plain(&plain.file, plain.offset, &spec, out, how, budget),
+        None => store::import_with(&mut opened.reader, &spec, out, how, budget),
     }
     .map_err(named(&[source, out]))?;
     let mut notes = opened.notes.clone();
