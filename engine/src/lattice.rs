@@ -86,10 +86,16 @@ impl Box3 {
         }
     }
 
+    /// Steps from the smallest point to `point`, which lies in the box or at its end. Boxes may span
+    /// more than half of the integers: the difference is taken without a sign.
+    pub fn local(&self, point: [i32; 3]) -> [u32; 3] {
+        std::array::from_fn(|a| point[a].wrapping_sub(self.min[a]) as u32)
+    }
+
     /// Offset of `point` in a dense array of this box, `i` fastest.
     pub fn offset_of(&self, point: [i32; 3]) -> usize {
         let size = self.size();
-        let local: [usize; 3] = std::array::from_fn(|a| (point[a] - self.min[a]) as usize);
+        let local = self.local(point).map(|v| v as usize);
         local[0] + size[0] as usize * (local[1] + size[1] as usize * local[2])
     }
 }

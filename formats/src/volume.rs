@@ -173,21 +173,10 @@ impl Source {
             }
         }
         let (path, late) = (input.path.clone(), input.late.clone());
-        if let (true, Some(plain)) = (encoding.is_plain(), input.plain()?) {
-            let mut source = Source::from_stream(
-                Box::new(std::io::empty()),
-                &path,
-                &late,
-                encoding,
-                grid,
-                description,
-                notes,
-            )?;
-            // The length was checked: nothing can be missing but by a change of the file.
-            source.reader = Box::new(input.take(needed));
-            source.plain = Some(plain);
-            return Ok(source);
-        }
+        let plain = match encoding.is_plain() {
+            true => input.plain()?,
+            false => None,
+        };
         // The length told already; nothing remains to be found out behind the samples.
         let surplus = if input.is_gzip() {
             encoding.surplus
@@ -198,7 +187,7 @@ impl Source {
             surplus,
             ..encoding
         };
-        Source::from_stream(
+        let source = Source::from_stream(
             Box::new(input),
             &path,
             &late,
@@ -206,7 +195,8 @@ impl Source {
             grid,
             description,
             notes,
-        )
+        )?;
+        Ok(Source { plain, ..source })
     }
 
     /// The samples that `stream` gives.

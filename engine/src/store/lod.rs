@@ -138,8 +138,7 @@ impl Coarser<'_> {
 
 impl Bricks for Coarser<'_> {
     fn constant(&self, spec: &VolumeSpec, region: Box3) -> Result<Option<u32>> {
-        let domain = spec.grid.domain;
-        let min = std::array::from_fn(|a| region.min[a].wrapping_sub(domain.min[a]) as u32);
+        let min = spec.grid.domain.local(region.min);
         let range = self.fine.key_range(self.finer(min, region.size()))?;
         let one = range.low == range.high && !range.has_nan;
         Ok(one.then(|| bits_of_key(spec.sample, range.low)))
@@ -152,8 +151,7 @@ impl Bricks for Coarser<'_> {
         raw: &mut [u8],
         room: &mut Room,
     ) -> Result<()> {
-        let domain = spec.grid.domain;
-        let min = std::array::from_fn(|a| region.min[a].wrapping_sub(domain.min[a]) as u32);
+        let min = spec.grid.domain.local(region.min);
         let finer = self.finer(min, region.size());
         let width = spec.sample.bytes();
         let samples = &mut room.raw[..finer.count() as usize * width];

@@ -10,7 +10,7 @@ use super::label::LabelField;
 use super::layout::{RECORD_HEADER, brick_bytes, record_bytes};
 use super::lod::{MAX_LEVELS, fits};
 use super::open::{Contents, Opened};
-use super::page::{FIRST_NODE, NODES, Page, PageRules, Slot, page_origin, slot_of};
+use super::page::{NODES, Page, PageRules, Slot, page_origin, slot_of};
 use super::patch::{Patch, Stored};
 use super::record::{RecordKind, Ref};
 use super::spec::{VolumeInfo, VolumeSpec, page_edge};
@@ -21,7 +21,7 @@ use super::writer::{info_of, rules_of};
 use crate::budget::{Budget, Permit};
 use crate::error::{Error, ErrorKind, Result};
 use crate::field::{Field, Range, Samples};
-use crate::lattice::{Box3, Grid, morton_decode, morton_encode};
+use crate::lattice::{Box3, Grid, morton_encode};
 use crate::sample::{Kind, SampleType};
 use std::fs::File;
 use std::path::Path;
@@ -41,19 +41,19 @@ pub struct Volume {
     names: Vec<String>,
     /// Numbers of the coarser levels, where they fit the samples.
     pub(super) lods: Vec<u16>,
-    spec: VolumeSpec,
-    rules: PageRules,
+    pub(super) spec: VolumeSpec,
+    pub(super) rules: PageRules,
     range: KeyRange,
     counts: Counts,
     page_levels: u8,
-    root: Option<cache::Ref<Page>>,
+    pub(super) root: Option<cache::Ref<Page>>,
     /// By offset and place: both, so that entries outlive a refresh and never stand for another.
     pages: PageCache<(u64, u8, u64), Page>,
     bricks: PageCache<(u64, u64), Vec<u8>>,
     buffers: Mutex<Vec<Buffers>>,
     budget: Budget,
     decoded: AtomicU64,
-    damage: Damage,
+    pub(super) damage: Damage,
 }
 
 /// Working space of one decoding thread.
@@ -117,15 +117,17 @@ impl Volume {
     }
 
     pub(super) fn open_nth(file: Opened, number: usize, budget: &Budget) -> Result<Self> {
-        let mut entries = file.catalog()?;
-        let names = names(&entries);
-        let lods = lods(&file, &entries, number)?;
-        let Contents {
-            spec,
-            range,
-            counts,
-            entry,
-        } = file.contents(number as u16, entries.swap_remove(number))?;
+        let Part {
+            names,
+            lods,
+            contents:
+                Contents {
+                    spec,
+                    range,
+                    counts,
+                    entry,
+                },
+        } = Part::read(&file, number)?;
         let memory = budget.memory_bytes();
         let brick = brick_bytes(spec.sample, spec.brick_edge) as u64;
         let mut volume = Self {
@@ -206,19 +208,17 @@ impl Volume {
 
     /// Replaces what is shown by the root of `file`, which is the same file.
     fn show(&mut self, file: Opened) -> Result<()> {
-        let mut entries = file.catalog()?;
-        let number = usize::from(self.number);
-        if number >= entries.len() {
-            return Err(file.error(ErrorKind::BadInput, "another file is in its place"));
-        }
-        let names = names(&entries);
-        let lods = lods(&file, &entries, number)?;
-        let Contents {
-            spec,
-            range,
-            counts,
-            entry,
-        } = file.contents(self.number, entries.swap_remove(number))?;
+        let Part {
+            names,
+            lods,
+            contents:
+                Contents {
+                    spec,
+                    range,
+                    counts,
+                    entry,
+                },
+        } = Part::read(&file, self.number.into())?;
         if rules_of(&spec) != self.rules || spec.grid != self.spec.grid {
             return Err(file.error(ErrorKind::BadInput, "another file is in its place"));
         }
@@ -329,10 +329,7 @@ impl Volume {
             )));
         }
         let edge = self.spec.brick_edge;
-        let local = |p: [i32; 3]| -> [u32; 3] {
-            std::array::from_fn(|a| p[a].wrapping_sub(domain.min[a]) as u32)
-        };
-        let (low, size) = (local(region.min), region.size());
+        let (low, size) = (domain.local(region.min), region.size());
         let first = low.map(|v| v / edge);
         let last: [u32; 3] = std::array::from_fn(|a| (low[a] + size[a] - 1) / edge);
         let mut cursor = None;
@@ -416,7 +413,12 @@ impl Volume {
         Ok(found)
     }
 
-    fn page(&self, level: u8, origin: [u32; 3], reference: Ref) -> Result<cache::Ref<Page>> {
+    pub(super) fn page(
+        &self,
+        level: u8,
+        origin: [u32; 3],
+        reference: Ref,
+    ) -> Result<cache::Ref<Page>> {
         let key = morton_encode(origin);
         self.pages.get(
             (reference.offset, level, key),
@@ -517,99 +519,26 @@ impl Volume {
         self.decoded.fetch_add(1, Ordering::Relaxed);
         Ok(())
     }
+}
 
-    /// [`range`](Field::range) in the native type.
-    pub(super) fn key_range(&self, region: Box3) -> Result<KeyRange> {
-        let mut union = KeyRange::empty(self.spec.sample);
-        self.visit_ranges(region, &mut |range, leaf, inside| {
-            if union.covers(&range) {
-                return false;
-            }
-            if leaf || inside {
-                union = union.union(range);
-            }
-            !inside
-        })?;
-        Ok(union)
-    }
+/// What a file says of one of its volumes.
+struct Part {
+    names: Vec<String>,
+    lods: Vec<u16>,
+    contents: Contents,
+}
 
-    /// Visits octree nodes that meet `region`, coarse to fine: `visit(range, is_leaf, is_inside)`
-    /// says whether to go on to the parts of the node. A node is inside when no brick of it lies
-    /// outside of the bricks that `region` meets.
-    pub(super) fn visit_ranges(
-        &self,
-        region: Box3,
-        visit: &mut impl FnMut(KeyRange, bool, bool) -> bool,
-    ) -> Result<()> {
-        let domain = self.spec.grid.domain;
-        let region = region.intersect(&domain);
-        if region.is_empty() {
-            return Ok(());
+impl Part {
+    fn read(file: &Opened, number: usize) -> Result<Self> {
+        let mut entries = file.catalog()?;
+        if number >= entries.len() {
+            return Err(file.error(ErrorKind::BadInput, "another file is in its place"));
         }
-        let Some(root) = &self.root else {
-            visit(
-                KeyRange::of_bits(self.spec.sample, self.rules.background),
-                true,
-                true,
-            );
-            return Ok(());
-        };
-        let edge = self.spec.brick_edge;
-        let query = Query {
-            low: std::array::from_fn(|a| region.min[a].wrapping_sub(domain.min[a]) as u32 / edge),
-            high: std::array::from_fn(|a| {
-                (region.max[a] - 1).wrapping_sub(domain.min[a]) as u32 / edge
-            }),
-        };
-        self.visit_node(root, 3, 0, [0; 3], &query, visit)
-    }
-
-    /// Depth is bounded by the level of the root, four per page.
-    fn visit_node(
-        &self,
-        page: &Page,
-        depth: u32,
-        index: usize,
-        min: [u32; 3],
-        query: &Query,
-        visit: &mut impl FnMut(KeyRange, bool, bool) -> bool,
-    ) -> Result<()> {
-        let edge = page_edge(page.level - 1) << depth;
-        let mut inside = true;
-        for a in 0..3 {
-            let last = (min[a] + edge).min(self.rules.bricks[a]).wrapping_sub(1);
-            if last < query.low[a] || query.high[a] < min[a] {
-                return Ok(());
-            }
-            inside &= query.low[a] <= min[a] && last <= query.high[a];
-        }
-        let child = match depth {
-            0 if page.level > 1 => match page.slot(index) {
-                Slot::Child(reference) => Some(reference),
-                _ => None,
-            },
-            _ => None,
-        };
-        let leaf = depth == 0 && child.is_none();
-        if !visit(page.range(FIRST_NODE[depth as usize] + index), leaf, inside) || leaf {
-            return Ok(());
-        }
-        if let Some(reference) = child {
-            return match self.page(page.level - 1, min, reference) {
-                Ok(below) => self.visit_node(&below, 3, 0, min, query, visit),
-                Err(e) => {
-                    self.damage.substitute(e, self.spec.node_box(min, edge))?;
-                    visit(page.range(FIRST_NODE[0] + index), true, inside);
-                    Ok(())
-                }
-            };
-        }
-        for c in 0..8 {
-            let step = morton_decode(c as u64);
-            let at = std::array::from_fn(|a| min[a] + step[a] * (edge / 2));
-            self.visit_node(page, depth - 1, index * 8 + c, at, query, visit)?;
-        }
-        Ok(())
+        Ok(Self {
+            names: names(&entries),
+            lods: lods(file, &entries, number)?,
+            contents: file.contents(number as u16, entries.swap_remove(number))?,
+        })
     }
 }
 
@@ -637,12 +566,6 @@ fn lods(file: &Opened, entries: &[Entry], number: usize) -> Result<Vec<u16>> {
         lods.push(level as u16);
     }
     Ok(lods)
-}
-
-/// Bricks that a region meets, inclusive.
-struct Query {
-    low: [u32; 3],
-    high: [u32; 3],
 }
 
 /// Bytes in memory of a page whose payload has this length, at most.
@@ -692,15 +615,13 @@ impl Field for Volume {
         }
         let edge = self.spec.brick_edge;
         // Bricks whose part of the domain lies inside the region.
-        let first: [u32; 3] = std::array::from_fn(|a| {
-            (region.min[a].wrapping_sub(domain.min[a]) as u32).div_ceil(edge)
-        });
+        let first = domain.local(region.min).map(|v| v.div_ceil(edge));
+        let last = domain.local(region.max);
         let end: [u32; 3] = std::array::from_fn(|a| {
-            let end = region.max[a].wrapping_sub(domain.min[a]) as u32;
             if region.max[a] == domain.max[a] {
-                end.div_ceil(edge)
+                last[a].div_ceil(edge)
             } else {
-                end / edge
+                last[a] / edge
             }
         });
         let mut cursor = None;
