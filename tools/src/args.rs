@@ -79,6 +79,15 @@ pub(crate) struct Say {
     pub progress: ProgressMode,
 }
 
+/// What every command that works on a volume takes.
+#[derive(Args, Debug, Clone)]
+pub(crate) struct Run {
+    #[command(flatten)]
+    pub limits: Limits,
+    #[command(flatten)]
+    pub say: Say,
+}
+
 /// Whether results may replace files.
 #[derive(Args, Debug, Clone)]
 pub(crate) struct Overwrite {
@@ -144,9 +153,7 @@ pub(crate) struct Demo {
     #[command(flatten)]
     pub overwrite: Overwrite,
     #[command(flatten)]
-    pub limits: Limits,
-    #[command(flatten)]
-    pub say: Say,
+    pub run: Run,
 }
 
 #[derive(Args, Debug)]
@@ -178,9 +185,7 @@ pub(crate) struct Import {
     #[command(flatten)]
     pub overwrite: Overwrite,
     #[command(flatten)]
-    pub limits: Limits,
-    #[command(flatten)]
-    pub say: Say,
+    pub run: Run,
 }
 
 /// How headerless samples are laid out.
@@ -228,9 +233,7 @@ pub(crate) struct Export {
     #[command(flatten)]
     pub overwrite: Overwrite,
     #[command(flatten)]
-    pub limits: Limits,
-    #[command(flatten)]
-    pub say: Say,
+    pub run: Run,
 }
 
 #[derive(Args, Debug)]
@@ -241,9 +244,7 @@ pub(crate) struct Info {
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
     #[command(flatten)]
-    pub limits: Limits,
-    #[command(flatten)]
-    pub say: Say,
+    pub run: Run,
 }
 
 #[derive(Args, Debug)]
@@ -251,9 +252,7 @@ pub(crate) struct Verify {
     /// Volume file
     pub volume: PathBuf,
     #[command(flatten)]
-    pub limits: Limits,
-    #[command(flatten)]
-    pub say: Say,
+    pub run: Run,
 }
 
 #[derive(Args, Debug)]
@@ -265,9 +264,7 @@ pub(crate) struct Compact {
     #[command(flatten)]
     pub overwrite: Overwrite,
     #[command(flatten)]
-    pub limits: Limits,
-    #[command(flatten)]
-    pub say: Say,
+    pub run: Run,
 }
 
 #[derive(Args, Debug)]
@@ -319,9 +316,7 @@ pub(crate) struct Mesh {
     #[command(flatten)]
     pub overwrite: Overwrite,
     #[command(flatten)]
-    pub limits: Limits,
-    #[command(flatten)]
-    pub say: Say,
+    pub run: Run,
 }
 
 #[derive(Args, Debug)]
@@ -359,9 +354,7 @@ pub(crate) struct Model {
     #[command(flatten)]
     pub overwrite: Overwrite,
     #[command(flatten)]
-    pub limits: Limits,
-    #[command(flatten)]
-    pub say: Say,
+    pub run: Run,
 }
 
 /// A shaded picture of the surface, drawn while it is made.
@@ -460,9 +453,7 @@ pub(crate) struct Slice {
     #[command(flatten)]
     pub overwrite: Overwrite,
     #[command(flatten)]
-    pub limits: Limits,
-    #[command(flatten)]
-    pub say: Say,
+    pub run: Run,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -543,6 +534,6 @@ mod tests {
         assert_eq!(mesh.iso, Some(-500.0));
         assert_eq!(mesh.seed, [[-1, 2, 3], [4, 5, 6]]);
         assert_eq!(mesh.region.roi, Some(Box3::new([-3, 0, 0], [4, 1, 1])));
-        assert_eq!(mesh.limits.mem, 256 << 20);
+        assert_eq!(mesh.run.limits.mem, 256 << 20);
     }
 }

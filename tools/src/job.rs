@@ -1,6 +1,6 @@
 //! One run of a command: its budget, its messages, its signals.
 
-use crate::args::{Limits, ProgressMode, Say};
+use crate::args::{ProgressMode, Run, Say};
 use crate::progress::{self, Watcher};
 use crate::system;
 use brickmarch::{Budget, CancelToken, Result};
@@ -19,8 +19,9 @@ pub(crate) struct Job {
 }
 
 impl Job {
-    /// A job inside `limits`.
-    pub(crate) fn new(limits: &Limits, say: &Say) -> Job {
+    /// A job inside its limits.
+    pub(crate) fn new(run: &Run) -> Job {
+        let Run { limits, say } = run;
         let mut budget = Budget::bytes(limits.mem);
         if let Some(threads) = limits.threads {
             budget = budget.with_threads(usize::from(threads));

@@ -10,7 +10,7 @@ use brickmarch::store;
 use serde_json::json;
 
 pub(crate) fn run(args: &Compact) -> anyhow::Result<Outcome> {
-    let job = Job::new(&args.limits, &args.say);
+    let job = Job::new(&args.run);
     output::check_target(&args.out, Replace::from(&args.overwrite))?;
     let before = std::fs::metadata(&args.volume).map_or(0, |m| m.len());
     let info = {

@@ -34,7 +34,7 @@ const LARGE_PICTURE_BYTES: u64 = 128 << 20;
 const MARK: &str = "Results of `brickmarch demo`; a later run replaces them.";
 
 pub(crate) fn run(args: &Demo) -> anyhow::Result<Outcome> {
-    let job = Job::new(&args.limits, &args.say);
+    let job = Job::new(&args.run);
     let scene = Scene::new(SceneName::LevelSetGyroid, args.size)
         .map_err(|e| Error::bad_input(format!("--size {}: {e}", args.size)))?;
     let replace = open_folder(args)?;
@@ -47,7 +47,7 @@ pub(crate) fn run(args: &Demo) -> anyhow::Result<Outcome> {
     check_disk(&args.dir, need)?;
     out.say(&format!(
         "Memory {}, {} threads, results in {} (up to {} of disk while it runs).\n",
-        human_bytes(args.limits.mem),
+        human_bytes(args.run.limits.mem),
         job.budget.threads(),
         args.dir.display(),
         human_bytes(need),
@@ -70,9 +70,9 @@ pub(crate) fn run(args: &Demo) -> anyhow::Result<Outcome> {
         took,
     );
     out.say(&table)?;
-    if args.say.json {
+    if args.run.say.json {
         let json = json!({
-            "schema": 1, "command": "demo", "dir": args.dir, "mem_bytes": args.limits.mem,
+            "schema": 1, "command": "demo", "dir": args.dir, "mem_bytes": args.run.limits.mem,
             "threads": job.budget.threads(), "seconds": took,
             "scan": scan.json(), "gyroid": gyroid.json(),
         });

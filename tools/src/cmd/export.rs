@@ -12,7 +12,7 @@ use serde_json::json;
 
 pub(crate) fn run(args: &Export) -> anyhow::Result<Outcome> {
     let replace = Replace::from(&args.overwrite);
-    let job = Job::new(&args.limits, &args.say);
+    let job = Job::new(&args.run);
     let volume = pick::open(&args.volume, &args.pick, &job.budget)?;
     output::check_target(&args.out, replace)?;
     let blame = named(&[&args.volume, &args.out]);

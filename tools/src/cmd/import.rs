@@ -13,7 +13,7 @@ use serde_json::json;
 use std::path::Path;
 
 pub(crate) fn run(args: &Import) -> anyhow::Result<Outcome> {
-    let job = Job::new(&args.limits, &args.say);
+    let job = Job::new(&args.run);
     let replace = Replace::from(&args.overwrite);
     let imported = {
         let _watch = job.watch("importing");

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use std::fmt::Write;
 
 pub(crate) fn run(args: &Info) -> anyhow::Result<Outcome> {
-    let job = Job::new(&args.limits, &args.say);
+    let job = Job::new(&args.run);
     let volume = match &args.name {
         Some(name) => Volume::open_named(&args.volume, name, &job.budget)?,
         None => Volume::open(&args.volume, &job.budget)?,

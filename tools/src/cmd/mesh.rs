@@ -20,7 +20,7 @@ use std::path::Path;
 
 pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
     let replace = Replace::from(&args.overwrite);
-    let job = Job::new(&args.limits, &args.say);
+    let job = Job::new(&args.run);
     if !args.dry_run {
         output::check_target(&args.out, replace)?;
         if let Some(shot) = &args.shot.picture {
@@ -72,7 +72,7 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
         "iso": options.iso, "inside": inside_name(options.inside.unwrap_or(field.kind().inside())),
         "label": args.label, "range": range_json(field.range(field.grid().domain)?),
         "seconds": took, "peak_rss_bytes": crate::system::peak_resident_bytes(),
-        "budget_peak_bytes": job.budget.peak_bytes(), "mem_bytes": args.limits.mem,
+        "budget_peak_bytes": job.budget.peak_bytes(), "mem_bytes": args.run.limits.mem,
         "bytes_in": bytes_in, "bytes_out": bytes_out,
         "picture": args.shot.picture, "picture_bytes": picture_bytes,
     });

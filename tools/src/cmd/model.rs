@@ -22,7 +22,7 @@ const DEFAULT_RESOLUTION: u32 = 256;
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let replace = Replace::from(&args.overwrite);
-    let job = Job::new(&args.limits, &args.say);
+    let job = Job::new(&args.run);
     let to_volume = is_volume(args);
     check_usage(args, to_volume)?;
     if !args.dry_run {
@@ -48,7 +48,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         "schema": 1, "command": "model", "scene": args.scene, "out": args.out, "title": scene.title,
         "size": grid.domain.size(), "voxel": grid.index_to_world.spacing()[0],
         "operations": model.operations(), "convention": model.convention().name(),
-        "mem_bytes": args.limits.mem,
+        "mem_bytes": args.run.limits.mem,
     });
     if args.dry_run {
         let text = dry_run(&scene, &model, &job, &mut json).map_err(&blame)?;

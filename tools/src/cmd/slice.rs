@@ -21,7 +21,7 @@ pub(crate) fn run(args: &Slice) -> anyhow::Result<Outcome> {
     let replace = Replace::from(&args.overwrite);
     picture::check_png_name(&args.out)?;
     output::check_target(&args.out, replace)?;
-    let job = Job::new(&args.limits, &args.say);
+    let job = Job::new(&args.run);
     let volume = pick::open(&args.volume, &args.pick, &job.budget)?;
     let region = region::resolve(&args.region, volume.grid())
         .map_err(|e| e.context(args.volume.display()))?

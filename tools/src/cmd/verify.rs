@@ -13,7 +13,7 @@ use std::fmt::Write;
 const SHOWN_MAX: usize = 20;
 
 pub(crate) fn run(args: &Verify) -> anyhow::Result<Outcome> {
-    let job = Job::new(&args.limits, &args.say);
+    let job = Job::new(&args.run);
     let report = {
         let _watch = job.watch("verifying");
         verify(&args.volume, &job.budget)?
