@@ -1,21 +1,18 @@
 //! `info`: what is in a volume file.
 
-use super::{short, thousands};
+use super::{pick, short, thousands};
 use crate::Outcome;
 use crate::args::Info;
 use crate::job::Job;
 use brickmarch::budget::human_bytes;
-use brickmarch::store::{Volume, VolumeInfo};
+use brickmarch::store::VolumeInfo;
 use brickmarch::{Grid, Units};
 use serde_json::{Value, json};
 use std::fmt::Write;
 
 pub(crate) fn run(args: &Info) -> anyhow::Result<Outcome> {
     let job = Job::new(&args.run);
-    let volume = match &args.name {
-        Some(name) => Volume::open_named(&args.volume, name, &job.budget)?,
-        None => Volume::open(&args.volume, &job.budget)?,
-    };
+    let volume = pick::named(&args.volume, args.name.as_deref(), &job.budget)?;
     let info = volume.info()?;
     let spec = volume.spec();
     let mut text = format!("{}\n", args.volume.display());

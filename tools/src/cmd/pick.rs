@@ -14,10 +14,7 @@ const SHOWN_MAX: usize = 20;
 /// # Errors
 /// As [`Volume::open_named`] and [`Volume::level`].
 pub(super) fn open(path: &Path, pick: &Pick, budget: &Budget) -> Result<Volume> {
-    let mut volume = match &pick.name {
-        Some(name) => Volume::open_named(path, name, budget)?,
-        None => Volume::open(path, budget)?,
-    };
+    let mut volume = named(path, pick.name.as_deref(), budget)?;
     if pick.level > 0 {
         volume = volume.level(pick.level)?;
     }
@@ -25,6 +22,17 @@ pub(super) fn open(path: &Path, pick: &Pick, budget: &Budget) -> Result<Volume> 
         volume.set_on_damage(OnDamage::Substitute);
     }
     Ok(volume)
+}
+
+/// The volume of this name; the first where there is none.
+///
+/// # Errors
+/// As [`Volume::open_named`].
+pub(super) fn named(path: &Path, name: Option<&str>, budget: &Budget) -> Result<Volume> {
+    match name {
+        Some(name) => Volume::open_named(path, name, budget),
+        None => Volume::open(path, budget),
+    }
 }
 
 /// Says what was lost; whether anything was.
