@@ -34,7 +34,7 @@ fn within(run: Run, mib: u64, what: &str) -> u64 {
 fn within_and_said(run: Run, mib: u64, what: &str) -> u64 {
     let own = run.json()["peak_rss_bytes"].as_u64();
     let own = own.unwrap_or_else(|| panic!("{what} does not say its peak: {run:#?}"));
-    // Looking from outside once a millisecond may miss the last one.
+    // Looking from outside may miss the last moment.
     assert!(
         own <= (mib << 20) + SLACK && own + (1 << 20) >= run.peak_bytes,
         "{what}: says {own}: {run:#?}"
@@ -113,6 +113,20 @@ fn a_large_sparse_volume_is_never_dense() {
         file >> 20,
         vertices.unwrap_or(0)
     ));
+}
+
+/// A run that was looked at while it ran. The short ones are over in some milliseconds, which on a
+/// busy machine is less than the time between two looks: they are run again.
+fn seen(run: impl Fn() -> Run) -> Run {
+    let runs = std::iter::repeat_with(run).take(100);
+    let mut last = None;
+    for run in runs {
+        if run.peak_bytes > 1 << 20 {
+            return run;
+        }
+        last = Some(run);
+    }
+    last.expect("it ran")
 }
 
 /// What came of a command that may refuse: its peak in MiB, `None` where it refused.
@@ -233,7 +247,8 @@ fn every_command_stays_within_its_budget_or_says_what_it_needs() {
             let mem = format!("{mib}MiB");
             let mut limits = vec!["--mem", &mem, "--quiet"];
             limits.extend(writes.then_some("--overwrite"));
-            let peak = within_or_refused(brickmarch(words.iter().chain(&limits)), mib, what);
+            let peak =
+                within_or_refused(seen(|| brickmarch(words.iter().chain(&limits))), mib, what);
             // More memory must not be refused where less was enough.
             let before = peaks.last().copied().flatten();
             assert!(peak.is_some() || before.is_none(), "{what} at {mib} MiB");

@@ -74,9 +74,9 @@ pub(crate) fn run(command: &mut Command) -> Run {
     }
 }
 
-/// The kernel's high-water mark of the process (`VmHWM`), which only grows, so that looking every
-/// millisecond misses at most what the last millisecond added. (`ru_maxrss` would not do: a child
-/// inherits there the mark of the process that started it.)
+/// The kernel's high-water mark of the process (`VmHWM`), which only grows, so that looking often
+/// misses at most what the last moment added. (`ru_maxrss` would not do: a child inherits there
+/// the mark of the process that started it.)
 fn watch_peak(status: &Path, done: &std::sync::atomic::AtomicBool) -> u64 {
     let mut peak = 0;
     while !done.load(std::sync::atomic::Ordering::Acquire) {
@@ -87,7 +87,7 @@ fn watch_peak(status: &Path, done: &std::sync::atomic::AtomicBool) -> u64 {
                 .and_then(|v| v.trim().parse::<u64>().ok());
             peak = peak.max(kib.unwrap_or(0) * 1024);
         }
-        std::thread::sleep(Duration::from_millis(1));
+        std::thread::sleep(Duration::from_micros(200));
     }
     peak
 }
