@@ -1,6 +1,7 @@
 //! The program `brickmarch` as its users meet it.
 
 mod bad_input;
+mod batch;
 mod pipeline;
 mod real_data;
 mod signals;

@@ -19,6 +19,9 @@ Results go to standard output, progress and messages to standard error.";
 pub(crate) struct Cli {
     #[command(subcommand)]
     pub command: Command,
+    /// End when the process with this number does, which started this one: what a batch gives its tasks
+    #[arg(long, hide = true, global = true, value_name = "PID")]
+    pub die_with_parent: Option<i32>,
 }
 
 #[derive(Subcommand, Debug)]
@@ -43,6 +46,8 @@ pub(crate) enum Command {
     Check(Check),
     /// Write an axis-aligned slice of a volume as a PNG picture
     Slice(Slice),
+    /// Run the tasks of a job file in one memory budget; run it again to go on after a stop
+    Batch(Batch),
     /// Print a completion script for a shell
     Completions(Completions),
     /// Write the manual pages into a folder
@@ -475,6 +480,20 @@ pub(crate) enum MapName {
     Diverging,
     /// A colour of its own for each value
     Labels,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Batch {
+    /// Job file (TOML); docs/guide.md says what it may contain
+    pub file: PathBuf,
+    /// Tasks at one time [default: what the job file says, or as many as have a core and 48 MiB each]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub jobs: Option<u16>,
+    /// Print the plan, with the memory of each task and what is finished, and stop
+    #[arg(long)]
+    pub dry_run: bool,
+    #[command(flatten)]
+    pub run: Run,
 }
 
 #[derive(Args, Debug)]

@@ -1,6 +1,7 @@
 //! The command line program: dispatch and exit codes.
 
 mod args;
+mod batch;
 mod cmd;
 mod colourmap;
 mod job;
@@ -27,6 +28,9 @@ enum Outcome {
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
+    if let Some(parent) = cli.die_with_parent {
+        system::die_with_parent(parent);
+    }
     let ended = match &cli.command {
         Command::Demo(args) => cmd::demo::run(args),
         Command::Import(args) => cmd::import::run(args),
@@ -38,6 +42,7 @@ fn main() -> ExitCode {
         Command::Model(args) => cmd::model::run(args),
         Command::Check(args) => cmd::check::run(args),
         Command::Slice(args) => cmd::slice::run(args),
+        Command::Batch(args) => cmd::batch::run(args),
         Command::Completions(args) => cmd::manual::completions(args),
         Command::Man(args) => cmd::manual::pages(args),
     };

@@ -29,3 +29,18 @@ pub(crate) fn free_disk_bytes(folder: &Path) -> Option<u64> {
     let stat = rustix::fs::statvfs(folder).ok()?;
     Some(stat.f_bavail.saturating_mul(stat.f_frsize))
 }
+
+/// Ends this process when its parent, the process `parent`, ends, however it does.
+pub(crate) fn die_with_parent(parent: i32) {
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::process::{Signal, getppid, set_parent_process_death_signal};
+        let _ = set_parent_process_death_signal(Some(Signal::KILL));
+        // It may have ended before we asked.
+        if getppid().is_none_or(|p| p.as_raw_nonzero().get() != parent) {
+            std::process::exit(1);
+        }
+    }
+    #[cfg(not(target_os = "linux"))]
+    let _ = parent;
+}
