@@ -566,9 +566,9 @@ fn options_of(op: &str) -> Option<Vec<String>> {
     Some(
         command
             .get_arguments()
-            .filter_map(|a| match a.get_long() {
-                Some(long) => Some(long.to_string()),
-                None => Some(a.get_id().to_string()),
+            .map(|a| match a.get_long() {
+                Some(long) => long.to_string(),
+                None => a.get_id().to_string(),
             })
             .collect(),
     )
