@@ -4,8 +4,6 @@
 //! (Shewchuk 1997). The numbers that come in are differences of single precision samples: multiples
 //! of 2^-149 below 2^130, so products of four of them neither overflow nor underflow.
 
-use std::cmp::Ordering;
-
 /// -1, 0 or 1.
 pub(super) fn sign(v: f64) -> i32 {
     i32::from(v > 0.0) - i32::from(v < 0.0)
@@ -15,12 +13,12 @@ pub(super) fn sign(v: f64) -> i32 {
 #[inline]
 pub(super) fn determinant_sign(a: f64, b: f64, c: f64, d: f64) -> i32 {
     let (p, q) = (a * b, c * d);
-    // Rounding keeps the order; only what it has made equal needs a second look.
-    match p.partial_cmp(&q) {
-        Some(Ordering::Greater) => 1,
-        Some(Ordering::Less) => -1,
-        _ => sign(tail(a, b, p) - tail(c, d, q)),
+    // Rounding keeps the order; only what it has made equal needs a second look. The order itself
+    // is a coin toss for a branch.
+    if p == q {
+        return sign(tail(a, b, p) - tail(c, d, q));
     }
+    i32::from(p > q) - i32::from(p < q)
 }
 
 /// What `product`, the rounded product of `a` and `b`, leaves out (Dekker 1971).

@@ -105,7 +105,7 @@ impl Table {
         let first = self.first[mask as usize];
         match self.ambiguous[mask as usize] {
             0 => first,
-            faces => first + u16::from(gather_bits(joined, faces)),
+            faces => first + u16::from(RANKS[usize::from(faces)][usize::from(joined & 63)]),
         }
     }
 
@@ -143,15 +143,27 @@ impl Table {
 /// The one table.
 pub(crate) static TABLE: LazyLock<Table> = LazyLock::new(build);
 
-/// Bits of `value` at the places of `places`, packed to the low end.
-fn gather_bits(value: u8, places: u8) -> u8 {
-    let (mut out, mut n) = (0, 0);
-    for bit in (0..6).filter(|bit| places >> bit & 1 == 1) {
-        out |= (value >> bit & 1) << n;
-        n += 1;
+/// By places and value: the bits of the value at the places, packed to the low end.
+static RANKS: [[u8; 64]; 64] = {
+    let mut out = [[0; 64]; 64];
+    let mut places = 0;
+    while places < 64 {
+        let mut value = 0;
+        while value < 64 {
+            let (mut bit, mut n) = (0, 0);
+            while bit < 6 {
+                if places >> bit & 1 == 1 {
+                    out[places][value] |= ((value >> bit & 1) << n) as u8;
+                    n += 1;
+                }
+                bit += 1;
+            }
+            value += 1;
+        }
+        places += 1;
     }
     out
-}
+};
 
 fn scatter_bits(value: u8, places: u8) -> u8 {
     let (mut out, mut n) = (0, 0);
