@@ -23,6 +23,7 @@ pub(crate) fn run() {
         ("ct_abdomen_crop128_i16.nrrd", 200.0),
         ("ch2.nii.gz", 49.5),
         ("embryo_256.mha", 65.0),
+        ("bentheimer_500_binary.nrrd", 0.5),
     ] {
         match scan(name) {
             Some(field) => report(name, iso, &field),
