@@ -114,11 +114,49 @@ fn create(path: &Path) {
     writer.finish().expect("finishes");
 }
 
+/// Another process of this program. It is killed and waited for when a test drops it, however the test
+/// ends.
+struct Process {
+    child: Child,
+    test: &'static str,
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Process {
+    /// # Panics
+    /// When the process has ended.
+    #[track_caller]
+    fn assert_runs(&mut self) {
+        let status = self.child.try_wait().expect("the child is ours");
+        if let Some(status) = status {
+            panic!("{} ended too early, {status}: it says why above", self.test);
+        }
+    }
+
+    /// Ends its standard input, which tells it to stop, and gives what it said.
+    fn stop(mut self) -> String {
+        drop(self.child.stdin.take());
+        let mut text = String::new();
+        let mut out = self.child.stdout.take().expect("piped");
+        out.read_to_string(&mut text).expect("the child talks");
+        let status = self.child.wait().expect("waits");
+        assert!(status.success(), "{} fails, {status}:\n{text}", self.test);
+        text
+    }
+}
+
 /// Starts this program for one of the ignored tests of this file.
-fn spawn(test: &str, file: &Path) -> Child {
+fn spawn(test: &'static str, file: &Path) -> Process {
     let program = std::env::current_exe().expect("a running program has a path");
     let name = format!("store::beside::{test}");
-    Command::new(program)
+    let child = Command::new(program)
         .args([
             "--exact",
             &name,
@@ -128,11 +166,12 @@ fn spawn(test: &str, file: &Path) -> Child {
             "1",
         ])
         .env(FILE, file)
-        .stdin(Stdio::null())
+        .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::inherit())
         .spawn()
-        .expect("this program can be started again")
+        .expect("this program can be started again");
+    Process { child, test }
 }
 
 fn file_of_child() -> Option<PathBuf> {
@@ -168,12 +207,12 @@ fn check(volume: &Volume, content: &mut Content, out: &mut [u8]) {
     );
 }
 
-/// Four readers until a file named `stop` is beside the volume.
+/// Four readers until standard input ends: when the parent says so, and when there is no parent.
 #[test]
 #[ignore = "a process that another test starts"]
 fn reader_process() {
     let Some(file) = file_of_child() else { return };
-    let stop = file.with_file_name("stop");
+    let stop = AtomicBool::new(false);
     std::thread::scope(|scope| {
         for thread in 0..4u64 {
             let (file, stop) = (&file, &stop);
@@ -184,7 +223,7 @@ fn reader_process() {
                 let mut content = Content::new();
                 let mut volume = Volume::open(file, &budget).expect("opens");
                 let (mut snapshots, mut generations) = (0u64, 1u64);
-                while !stop.exists() {
+                while !stop.load(Ordering::Acquire) {
                     let before = volume.generation();
                     let is_newer = volume.refresh().expect("refreshes");
                     assert_eq!(is_newer, volume.generation() > before);
@@ -204,6 +243,9 @@ fn reader_process() {
                 say(&format!("READ {snapshots} {generations}"));
             });
         }
+        let ended = std::io::stdin().lock().read_to_end(&mut Vec::new());
+        stop.store(true, Ordering::Release);
+        ended.expect("standard input is a pipe");
     });
 }
 
@@ -213,24 +255,18 @@ fn eight_readers_in_two_processes_see_whole_commits_of_one_writer() {
     let scratch = Scratch::new("beside");
     let path = scratch.path("v.bvol");
     create(&path);
-    let children = [(); 2].map(|()| spawn("reader_process", &path));
+    let mut children = [(); 2].map(|()| spawn("reader_process", &path));
     let end = Instant::now() + Duration::from_secs(number("BRICKMARCH_READER_SECONDS", 5));
     let writer = VolumeWriter::open(&path, &Budget::mib(8)).expect("opens for changes");
     let mut content = Content::new();
     content.go_to(1);
     while Instant::now() < end {
         commit_next(&writer, &mut content);
+        children.iter_mut().for_each(Process::assert_runs);
     }
-    scratch.write("stop", "");
     let (mut readers, mut snapshots, mut generations) = (0, 0, 0);
-    for mut child in children {
-        let mut text = String::new();
-        let mut out = child.stdout.take().expect("piped");
-        out.read_to_string(&mut text).expect("the child talks");
-        assert!(
-            child.wait().expect("waits").success(),
-            "a reader fails:\n{text}"
-        );
+    for child in children {
+        let text = child.stop();
         for line in text.lines() {
             // The harness of the child may write before on the same line.
             let Some((_, counts)) = line.split_once("READ ") else {
@@ -287,11 +323,12 @@ fn a_killed_writer_keeps_every_acknowledged_commit() {
             create(&path);
         }
         let before = Volume::open(&path, &budget).expect("opens").generation();
-        let mut child = spawn("writer_process", &path);
-        let lines = BufReader::new(child.stdout.take().expect("piped")).lines();
+        let mut process = spawn("writer_process", &path);
+        let lines = BufReader::new(process.child.stdout.take().expect("piped")).lines();
         let started = AtomicBool::new(false);
-        let last = std::thread::scope(|scope| {
-            let started = &started;
+        let (started, rng) = (&started, &mut rng);
+        // The process moves in: should this thread panic, it ends, and with it what the listener hears.
+        let last = std::thread::scope(move |scope| {
             let listener = scope.spawn(move || {
                 let mut last = 0;
                 for line in lines.map_while(Result::ok) {
@@ -305,12 +342,14 @@ fn a_killed_writer_keeps_every_acknowledged_commit() {
             // Some are killed while they start.
             if kill % 8 > 0 {
                 while !started.load(Ordering::Acquire) {
+                    process.assert_runs();
                     std::thread::sleep(Duration::from_millis(1));
                 }
             }
             std::thread::sleep(Duration::from_micros(rng.below(60_000)));
-            child.kill().expect("the child is ours");
-            child.wait().expect("waits");
+            // It goes on until it is killed.
+            process.assert_runs();
+            drop(process);
             listener.join().expect("no panic")
         });
         let volume = Volume::open(&path, &budget).expect("opens after a kill");
