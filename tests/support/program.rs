@@ -2,8 +2,9 @@
 
 use super::data::workspace;
 use std::ffi::OsStr;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::io::Read;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 use std::time::Duration;
 
@@ -16,6 +17,8 @@ pub(crate) struct Run {
     pub(crate) stderr: String,
     /// Peak resident memory as the kernel counted it, read from outside while it ran.
     pub(crate) peak_bytes: u64,
+    /// Time of all its threads on a processor.
+    pub(crate) cpu: Duration,
     command: String,
 }
 
@@ -44,43 +47,64 @@ pub(crate) fn data_gen<S: AsRef<OsStr>>(args: impl IntoIterator<Item = S>) -> Ru
     run(Command::new(binary("brickmarch-data-gen", "brickmarch-data-gen")).args(args))
 }
 
-/// Runs a command, collecting its output and its peak memory.
+/// Runs a command, collecting its output, its peak memory and its time.
 pub(crate) fn run(command: &mut Command) -> Run {
     let text = format!("{command:?}");
     command
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
-    let child = command.spawn().unwrap_or_else(|e| panic!("{text}: {e}"));
-    let status = PathBuf::from(format!("/proc/{}/status", child.id()));
-    let done = std::sync::atomic::AtomicBool::new(false);
-    let (output, peak_bytes) = std::thread::scope(|scope| {
-        let watcher = scope.spawn(|| watch_peak(&status, &done));
-        let output = child.wait_with_output();
-        done.store(true, std::sync::atomic::Ordering::Release);
-        (output, watcher.join().expect("the watcher does not panic"))
+    let mut child = command.spawn().unwrap_or_else(|e| panic!("{text}: {e}"));
+    let stdout = child.stdout.take().expect("piped");
+    let stderr = child.stderr.take().expect("piped");
+    let (stdout, stderr, (peak_bytes, cpu)) = std::thread::scope(|scope| {
+        let [stdout, stderr] = [
+            scope.spawn(|| read_all(stdout)),
+            scope.spawn(|| read_all(stderr)),
+        ];
+        let watched = watch(child.id());
+        let text = |reader: std::thread::ScopedJoinHandle<'_, String>| {
+            reader.join().expect("a pipe can be read")
+        };
+        (text(stdout), text(stderr), watched)
     });
-    let Output {
-        status,
-        stdout,
-        stderr,
-    } = output.expect("waiting for a child works");
+    let status = child.wait().expect("waiting for a child works");
     Run {
         code: status.code(),
-        stdout: String::from_utf8_lossy(&stdout).into_owned(),
-        stderr: String::from_utf8_lossy(&stderr).into_owned(),
+        stdout,
+        stderr,
         peak_bytes,
+        cpu,
         command: text,
     }
 }
 
-/// The kernel's high-water mark of the process (`VmHWM`), which only grows, so that looking often
-/// misses at most what the last moment added. (`ru_maxrss` would not do: a child inherits there
-/// the mark of the process that started it.)
-fn watch_peak(status: &Path, done: &std::sync::atomic::AtomicBool) -> u64 {
-    let mut peak = 0;
-    while !done.load(std::sync::atomic::Ordering::Acquire) {
-        if let Ok(text) = std::fs::read_to_string(status) {
+fn read_all(mut pipe: impl Read) -> String {
+    let mut bytes = Vec::new();
+    pipe.read_to_end(&mut bytes).expect("a pipe can be read");
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// Peak memory and time of a child until it ends; nobody may wait for it meanwhile.
+///
+/// The memory is the kernel's high-water mark of the process (`VmHWM`), which only grows, so that
+/// looking often misses at most what the last moment added. (`ru_maxrss` would not do: a child inherits
+/// there the mark of the process that started it.) The time of all its threads, in user and kernel
+/// mode, is exact to a tick: what ended and was not waited for still has it.
+fn watch(child: u32) -> (u64, Duration) {
+    let (mut peak, mut cpu) = (0, Duration::ZERO);
+    // Where there is no such file nothing is measured.
+    while let Ok(stat) = std::fs::read_to_string(format!("/proc/{child}/stat")) {
+        // The name of the program, in brackets, may hold anything.
+        let rest = stat.rsplit_once(") ").expect("proc(5) says so").1;
+        let fields: Vec<&str> = rest.split(' ').collect();
+        let ticks = |n: usize| fields[n].parse::<u64>().expect("a number of ticks");
+        // A hundred a second, whatever the kernel counts in.
+        cpu = Duration::from_millis(10 * (ticks(11) + ticks(12)));
+        if fields[0] == "Z" {
+            break;
+        }
+        if let Ok(text) = std::fs::read_to_string(format!("/proc/{child}/status")) {
             let kib = text.lines().find_map(|l| l.strip_prefix("VmHWM:"));
             let kib = kib
                 .and_then(|v| v.trim().strip_suffix(" kB"))
@@ -89,7 +113,7 @@ fn watch_peak(status: &Path, done: &std::sync::atomic::AtomicBool) -> u64 {
         }
         std::thread::sleep(Duration::from_micros(200));
     }
-    peak
+    (peak, cpu)
 }
 
 /// Path of a program of this workspace, in the build directory and the profile of this test.
@@ -170,4 +194,21 @@ pub(crate) fn start(args: impl IntoIterator<Item = String>) -> std::process::Chi
     command
         .spawn()
         .unwrap_or_else(|e| panic!("{command:?}: {e}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A bound on a time that is not measured would always hold.
+    #[test]
+    fn work_takes_time_on_a_processor_and_sleep_does_not() {
+        let bash = |script: &str| run(Command::new("bash").args(["-c", script])).success();
+        let work = bash("for ((i = 0; i < 300000; i++)); do :; done");
+        assert!(work.cpu >= Duration::from_millis(50), "{work:?}");
+        assert!(work.peak_bytes > 0, "{work:?}");
+        let sleep = bash("sleep 0.3; echo awake; echo late >&2");
+        assert!(sleep.cpu < Duration::from_millis(100), "{sleep:?}");
+        assert_eq!((&*sleep.stdout, &*sleep.stderr), ("awake\n", "late\n"));
+    }
 }

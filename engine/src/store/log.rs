@@ -58,6 +58,13 @@ pub(crate) struct Publish {
     pub(crate) sealed: bool,
 }
 
+/// The generation after it is the number of a running commit, which has to exist as well.
+const LAST_GENERATION: u64 = u64::MAX - 1;
+
+fn no_commit_after(generation: u64) -> String {
+    format!("no commit fits after generation {generation}: compact it into a new file")
+}
+
 impl Log {
     /// Starts a file in empty `storage`: header, both superblocks at generation 0, header copy.
     pub(crate) fn create(
@@ -86,13 +93,10 @@ impl Log {
 
     /// Goes on where `file` ends.
     pub(crate) fn open(file: &Opened, is_locked: bool) -> Result<Log> {
-        if file.root.generation >= u64::MAX - 1 {
+        if file.root.generation >= LAST_GENERATION {
             return Err(file.error(
                 ErrorKind::LimitExceeded,
-                format!(
-                    "no commit fits after generation {}: compact it into a new file",
-                    file.root.generation
-                ),
+                no_commit_after(file.root.generation),
             ));
         }
         let log = Log::at(
@@ -167,6 +171,10 @@ impl Log {
     /// # Errors
     /// Why nothing can be written now.
     pub(crate) fn check(&self) -> Result<()> {
+        let last = self.generation() - 1;
+        if last >= LAST_GENERATION {
+            return Err(self.error(ErrorKind::LimitExceeded, &no_commit_after(last)));
+        }
         match self.health.load(Ordering::Acquire) {
             SOUND => Ok(()),
             FAILED => Err(self.error(
