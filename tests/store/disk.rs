@@ -149,6 +149,13 @@ impl Disk {
         self.state().failed
     }
 
+    /// A writer elsewhere has made this of it.
+    pub(crate) fn becomes(&self, image: Vec<u8>) {
+        let mut state = self.state();
+        state.synced.clone_from(&image);
+        state.image = image;
+    }
+
     /// From now on nothing fails.
     pub(crate) fn heal(&self) {
         self.state().plan = Plan::default();

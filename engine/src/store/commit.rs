@@ -63,7 +63,7 @@ impl VolumeWriter {
             Ok(saved.file.root.generation)
         });
         if result.is_err() {
-            self.parts.iter().for_each(|p| p.tree().clear());
+            self.parts.iter().for_each(Part::forget);
             self.log.forget();
         }
         result
@@ -72,6 +72,7 @@ impl VolumeWriter {
     fn is_changed(&self, volume: usize, saved: &Saved) -> bool {
         let counts = &saved.parts[volume].counts;
         !self.parts[volume].tree().is_empty()
+            || self.parts[volume].is_built()
             || self.parts[volume].mark() != (counts.slabs, counts.source_crc)
     }
 
@@ -130,13 +131,13 @@ impl VolumeWriter {
             } else if !part.spec.history.is_empty() {
                 now.entry.history = append(RecordKind::History, meta::encode(&part.spec.history)?)?;
             }
-            // A level is known to fit by the root page that it was built from.
-            let mark = match part.lod {
+            // A level is known to fit by the root page that it was built from. One that is not all
+            // there must never be taken for whole.
+            (now.counts.slabs, now.counts.source_crc) = match part.lod {
                 0 => part.mark(),
-                _ => (0, parent_crc),
+                _ if part.is_built() => (0, parent_crc),
+                _ => (0, !parent_crc),
             };
-            (now.counts.slabs, now.counts.source_crc) = mark;
-            part.set_mark(mark);
             let payload = encode_attributes(&part.spec, now.range, &now.counts);
             now.entry.attributes = append(RecordKind::Attributes, payload)?;
         }
@@ -158,6 +159,10 @@ impl VolumeWriter {
             writer,
             sealed: self.sealed,
         })?;
+        for (part, now) in self.parts.iter().zip(&parts) {
+            part.set_mark((now.counts.slabs, now.counts.source_crc));
+            part.set_built(false);
+        }
         saved.parts = parts;
         Ok(())
     }

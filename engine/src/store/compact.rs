@@ -97,6 +97,8 @@ fn copy(
     for (_, contents) in &all[1..] {
         let mut part = Part::new(&contents.spec, false, budget)?;
         (part.lod, part.parent) = (contents.entry.lod, number(contents.entry.parent));
+        // It fits, and so does its copy.
+        part.set_built(part.lod != 0);
         writer.add_part(part)?;
     }
     let bricks = all.iter().map(|(_, c)| c.counts.bricks);

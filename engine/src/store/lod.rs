@@ -64,7 +64,8 @@ impl VolumeWriter {
     /// samples are kept; after samples have changed they are built anew.
     ///
     /// # Errors
-    /// As [`commit`](Self::commit), and what reading the level before reports.
+    /// As [`commit`](Self::commit), and what reading the level before reports. A level that was not
+    /// finished is given up; the writer may go on.
     ///
     /// # Memory
     /// Per thread about 1 MiB of encoded bricks and eight bricks of the level before.
@@ -89,8 +90,11 @@ impl VolumeWriter {
                 }
             };
             if !self.level_fits(part) {
-                self.build_level(fine, part)?;
-                self.commit()?;
+                let built = self.build_level(fine, part).and_then(|()| {
+                    self.parts[part].set_built(true);
+                    self.commit()
+                });
+                built.inspect_err(|_| self.give_up_level(part))?;
             }
             fine = part;
         }
@@ -104,6 +108,14 @@ impl VolumeWriter {
             .parts
             .get(part)
             .is_some_and(|p| fits(&saved.parts[0].entry, &p.counts))
+    }
+
+    /// What was built of a level before something failed is not for the next commit.
+    fn give_up_level(&mut self, part: usize) {
+        self.parts[part].forget();
+        self.log.forget();
+        let saved = self.saved.get_mut().unwrap_or_else(PoisonError::into_inner);
+        self.parts.truncate(saved.parts.len());
     }
 
     fn build_level(&self, fine: usize, part: usize) -> Result<()> {

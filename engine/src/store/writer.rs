@@ -23,6 +23,7 @@ use crate::sample::SampleType;
 use std::fs::OpenOptions;
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 
 /// Writes a volume file: a new one ([`create`](Self::create)), of which nothing appears under the
@@ -80,6 +81,8 @@ pub(crate) struct Part {
     /// Slabs and source checksum of a running import; of a level of detail 0 and the checksum of
     /// the root page that it was built from.
     mark: Mutex<(u32, u32)>,
+    /// Of a level of detail: whether what was put is all of it, as the next commit has its parent.
+    built: AtomicBool,
 }
 
 impl Part {
@@ -93,6 +96,7 @@ impl Part {
             parent: 0,
             encoders: Mutex::default(),
             mark: Mutex::default(),
+            built: AtomicBool::new(false),
         })
     }
 
@@ -106,6 +110,20 @@ impl Part {
 
     pub(super) fn set_mark(&self, mark: (u32, u32)) {
         *self.mark.lock().unwrap_or_else(PoisonError::into_inner) = mark;
+    }
+
+    pub(super) fn is_built(&self) -> bool {
+        self.built.load(Ordering::Acquire)
+    }
+
+    pub(super) fn set_built(&self, built: bool) {
+        self.built.store(built, Ordering::Release);
+    }
+
+    /// Forgets what was put since the last commit.
+    pub(super) fn forget(&self) {
+        self.tree().clear();
+        self.set_built(false);
     }
 
     fn check_inside(&self, brick: [u32; 3]) -> Result<()> {
