@@ -3,13 +3,14 @@
 use super::import::*;
 use super::slabs::fill;
 use super::source::Source;
-use super::storage::MemoryStorage;
+use super::storage::{MemoryStorage, Storage};
 use super::tests::{Dense, mixed, spec};
 use super::{Volume, VolumeSpec, VolumeWriter, verify};
 use crate::{Box3, Budget, ErrorKind, Field, Grid, SampleType};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 #[test]
 fn same_bytes_for_any_number_of_threads_and_through_the_scratch_file() {
@@ -186,6 +187,100 @@ fn a_stopped_import_goes_on() {
             import(&mut &dense.raw[..], 1).expect("anew");
             assert!(std::fs::read(&out).expect("is there") == whole);
             std::fs::remove_file(&out).expect("removes");
+        }
+    }
+}
+
+/// Storage whose writer is killed after some calls that change it.
+struct Killed {
+    bytes: Arc<MemoryStorage>,
+    calls: AtomicUsize,
+}
+
+impl Killed {
+    fn call(&self) -> std::io::Result<()> {
+        let left = self
+            .calls
+            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, |n| n.checked_sub(1));
+        left.map(drop)
+            .map_err(|_| std::io::Error::other("the kill"))
+    }
+}
+
+impl Storage for Killed {
+    fn read_at(&self, buffer: &mut [u8], offset: u64) -> std::io::Result<()> {
+        self.bytes.read_at(buffer, offset)
+    }
+    fn write_at(&self, bytes: &[u8], offset: u64) -> std::io::Result<()> {
+        self.call()?;
+        self.bytes.write_at(bytes, offset)
+    }
+    fn len(&self) -> std::io::Result<u64> {
+        self.bytes.len()
+    }
+    fn set_len(&self, length: u64) -> std::io::Result<()> {
+        self.call()?;
+        self.bytes.set_len(length)
+    }
+    fn sync(&self) -> std::io::Result<()> {
+        self.call()?;
+        self.bytes.sync()
+    }
+    fn lock(&self) -> std::io::Result<bool> {
+        self.bytes.lock()
+    }
+}
+
+#[test]
+fn an_import_killed_at_any_call_goes_on_to_the_same_bytes() {
+    let spec = spec([40, 20, 30], SampleType::U16, 8);
+    let dense = Dense::new(spec.clone(), mixed);
+    for (levels, commit_bytes) in [(0, u64::MAX), (1, u64::MAX), (0, 1), (1, 1)] {
+        let options = ImportOptions {
+            resume: true,
+            levels,
+        };
+        let import = |bytes: &Arc<MemoryStorage>, calls: usize| {
+            let storage = Arc::new(Killed {
+                bytes: bytes.clone(),
+                calls: AtomicUsize::new(calls),
+            });
+            let name = Path::new("killed.bvol");
+            let budget = Budget::mib(24).with_threads(1);
+            let source = &mut &dense.raw[..];
+            import_in(
+                storage.clone(),
+                name,
+                source,
+                &spec,
+                &options,
+                commit_bytes,
+                &budget,
+            )
+            .map(|_| calls - storage.calls.load(Ordering::SeqCst))
+        };
+        let whole = Arc::new(MemoryStorage::default());
+        let calls = import(&whole, usize::MAX).expect("in one go");
+        assert!(calls > 20, "{calls}");
+        let whole = whole.to_vec();
+        for killed in 0..calls {
+            let left = Arc::new(MemoryStorage::default());
+            import(&left, killed).expect_err("killed");
+            import(&left, usize::MAX).expect("goes on");
+            assert!(
+                left.to_vec() == whole,
+                "killed after {killed} of {calls} calls"
+            );
+            // Killed twice.
+            let left = Arc::new(MemoryStorage::default());
+            import(&left, killed).expect_err("killed");
+            if import(&left, killed / 2).is_err() {
+                import(&left, usize::MAX).expect("goes on");
+            }
+            assert!(
+                left.to_vec() == whole,
+                "killed after {killed} of {calls} calls, and again"
+            );
         }
     }
 }

@@ -302,6 +302,8 @@ impl Opened {
     /// The commit that starts at the log end of `root`, if all of it is whole.
     fn next_commit(&self, root: &Superblock) -> Result<Option<Superblock>> {
         let (mut chain, mut records, mut at) = (self.seed, 0u64, root.log_end);
+        // The index span, which the writer gave to the superblock of a first commit only.
+        let mut pages: Option<[u64; 2]> = None;
         let mut buffer = Vec::new();
         loop {
             let Some((head, reference)) = self.record_at(at, &mut buffer)? else {
@@ -321,7 +323,15 @@ impl Opened {
                     && footer.start == root.log_end
                     && footer.previous == root.footer
                     && (footer.records, footer.chain) == (records, chain);
-                return Ok(root_of(&footer, at).filter(|_| fits));
+                let next = root_of(&footer, at).filter(|_| fits);
+                let index = pages
+                    .filter(|_| head.generation == 1)
+                    .map_or([0, 0], |[start, end]| [start, end - start]);
+                return Ok(next.map(|next| Superblock { index, ..next }));
+            }
+            if head.kind == RecordKind::Page as u8 {
+                let end = at + record_bytes(reference.length);
+                pages = Some([pages.map_or(at, |p| p[0]), end]);
             }
             chain = crc32c::crc32c_append(chain, &buffer[..RECORD_HEADER]);
             records += 1;
