@@ -144,6 +144,38 @@ pub trait Field: Sync {
     }
 }
 
+/// Anything that gives segment numbers for a box: where [`Field`] gives single precision, these are
+/// exact up to 2^32.
+pub trait Labels: Sync {
+    /// Domain and place in the world.
+    fn grid(&self) -> &Grid;
+
+    /// See [`Field::block_edge`].
+    fn block_edge(&self) -> u32;
+
+    /// Writes the labels of `region`, which lies inside the domain, to `out`, without gaps, `i`
+    /// fastest.
+    ///
+    /// # Errors
+    /// What the source reports; the content of `out` is then unspecified.
+    fn read(&self, region: Box3, out: &mut [u32]) -> Result<()>;
+
+    /// A conservative lowest and highest label in `region` (the part of it inside the domain);
+    /// nothing when that part is empty.
+    ///
+    /// # Errors
+    /// What the source reports.
+    fn range(&self, region: Box3) -> Result<Option<[u32; 2]>>;
+
+    /// See [`Field::forget`].
+    fn forget(&self, _region: Box3) {}
+
+    /// See [`Field::blocks_decoded`].
+    fn blocks_decoded(&self) -> u64 {
+        0
+    }
+}
+
 /// A dense array in memory as a field.
 ///
 /// ```

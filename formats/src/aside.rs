@@ -62,8 +62,7 @@ impl Aside {
 
     /// A nameless file in the same folder, gone when closed.
     pub(crate) fn scratch(&self) -> Result<File> {
-        tempfile::tempfile_in(folder(&self.path))
-            .map_err(|e| Error::io(&self.path, "making a scratch file in its folder", e))
+        scratch_beside(&self.path)
     }
 
     /// The final name.
@@ -107,6 +106,12 @@ impl Aside {
             .map_err(|e| Error::io(&self.path, "syncing its folder", e))?;
         Ok(())
     }
+}
+
+/// A nameless file in the folder of `path`, gone when closed.
+pub(crate) fn scratch_beside(path: &Path) -> Result<File> {
+    tempfile::tempfile_in(folder(path))
+        .map_err(|e| Error::io(path, "making a scratch file in its folder", e))
 }
 
 fn exists(path: &Path) -> Error {

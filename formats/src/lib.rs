@@ -37,7 +37,10 @@ mod testing;
 
 pub use export::{Export, Exported, export_volume};
 pub use loaded::Loaded;
-pub use mesh_file::{create_colored_mesh_sink, create_mesh_sink, read_mesh};
+pub use mesh_file::{
+    create_colored_mesh_sink, create_labelled_mesh_sink, create_mesh_sink, mesh_capacity,
+    read_mesh, scratch_file,
+};
 pub use raw::RawLayout;
 pub use volume::{
     FormatRow, OpenOptions, PlainSamples, Source, VOLUME_FORMATS, VolumeFormat, open_volume,

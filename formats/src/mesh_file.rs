@@ -1,12 +1,14 @@
 //! Mesh files by extension.
 
+use crate::aside;
 use crate::loaded::{Input, Loaded};
-use crate::mesh_stream::Stream;
+use crate::mesh_stream::{Encode, Stream};
 use crate::{obj::Obj, obj_read::read_obj};
 use crate::{ply::Ply, ply_read::read_ply};
 use crate::{stl::Stl, stl_read::read_stl};
-use brickmarch::mesh::MeshSink;
+use brickmarch::mesh::{MeshSink, Totals};
 use brickmarch::{Budget, Error, ErrorKind, Result};
+use std::fs::File;
 use std::path::Path;
 
 /// Mesh formats, by their extension.
@@ -76,6 +78,48 @@ pub fn create_colored_mesh_sink(path: &Path, overwrite: bool) -> Result<Box<dyn 
             ),
         )),
     }
+}
+
+/// The same for the meshes of many labels in one file: every face has a `label`.
+///
+/// # Errors
+/// When the format has no labels (all but PLY); those of [`create_mesh_sink`].
+pub fn create_labelled_mesh_sink(path: &Path, overwrite: bool) -> Result<Box<dyn MeshSink>> {
+    match Format::of(path)? {
+        Format::Ply => Ok(Box::new(Stream::create(
+            Ply::with_labels(),
+            path,
+            overwrite,
+        )?)),
+        _ => Err(Error::new(
+            ErrorKind::Unsupported,
+            format!(
+                "{}: only PLY holds the meshes of several labels: end the name in .ply, or write {{label}} into it \
+                 for a file per label",
+                path.display()
+            ),
+        )),
+    }
+}
+
+/// A nameless file in the folder of `beside`, gone when closed.
+///
+/// # Errors
+/// When the folder cannot be written.
+pub fn scratch_file(beside: &Path) -> Result<File> {
+    aside::scratch_beside(beside)
+}
+
+/// Most vertices and triangles that the format named by the extension of `path` can hold.
+///
+/// # Errors
+/// When the extension names no mesh format.
+pub fn mesh_capacity(path: &Path) -> Result<Totals> {
+    Ok(match Format::of(path)? {
+        Format::Ply => Ply::default().capacity(),
+        Format::Stl => Stl.capacity(),
+        Format::Obj => Obj::default().capacity(),
+    })
 }
 
 /// Reads the mesh file `path`: PLY, STL or OBJ by its extension.

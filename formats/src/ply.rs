@@ -1,7 +1,8 @@
 //! PLY, binary little endian, written while the mesh is made.
 //!
 //! Vertices are `float x y z`, then `nx ny nz`, then the key as `int edge_x edge_y edge_z` and
-//! `uchar edge_axis`, then `uchar red green blue`, where present. Faces are `list uchar int vertex_indices`. The bytes of a
+//! `uchar edge_axis`, then `uchar red green blue`, where present. Faces are `list uchar int vertex_indices`,
+//! then `uint label` where present. The bytes of a
 //! signed and an unsigned index are the same below 2^31, so the type is decided at the end: `int`,
 //! which every reader knows, up to 2^31 vertices, `uint` up to 2^32, which is the limit.
 //!
@@ -23,19 +24,45 @@ const FACE_BYTES: usize = 1 + 3 * 4;
 pub(crate) struct Ply {
     layout: Layout,
     colors: bool,
+    labels: bool,
 }
 
 impl Ply {
     /// An encoder that writes the colours of vertices.
     pub(crate) fn with_colors() -> Ply {
         Ply {
-            layout: Layout::default(),
             colors: true,
+            ..Ply::default()
         }
+    }
+
+    /// An encoder that writes the label of each face.
+    pub(crate) fn with_labels() -> Ply {
+        Ply {
+            labels: true,
+            ..Ply::default()
+        }
+    }
+
+    fn face_bytes(&self) -> usize {
+        FACE_BYTES + if self.labels { 4 } else { 0 }
+    }
+
+    fn header_bytes(&self) -> usize {
+        let largest = Totals {
+            vertices: u64::MAX,
+            triangles: u64::MAX,
+        };
+        header_text(self, largest, 0).len().next_multiple_of(16)
     }
 }
 
-fn header_text(layout: Layout, colors: bool, totals: Totals, padding: usize) -> String {
+fn header_text(ply: &Ply, totals: Totals, padding: usize) -> String {
+    let Ply {
+        layout,
+        colors,
+        labels,
+    } = *ply;
     let mut text = format!(
         "ply\nformat binary_little_endian 1.0\ncomment brickmarch{:padding$}\nelement vertex {}\n",
         "", totals.vertices
@@ -62,20 +89,14 @@ fn header_text(layout: Layout, colors: bool, totals: Totals, padding: usize) -> 
         "uint"
     };
     text.push_str(&format!(
-        "element face {}\nproperty list uchar {index} vertex_indices\nend_header\n",
+        "element face {}\nproperty list uchar {index} vertex_indices\n",
         totals.triangles
     ));
+    if labels {
+        text.push_str("property uint label\n");
+    }
+    text.push_str("end_header\n");
     text
-}
-
-fn header_bytes(layout: Layout, colors: bool) -> usize {
-    let largest = Totals {
-        vertices: u64::MAX,
-        triangles: u64::MAX,
-    };
-    header_text(layout, colors, largest, 0)
-        .len()
-        .next_multiple_of(16)
 }
 
 fn put_floats(out: &mut [u8], values: [f32; 3]) {
@@ -95,12 +116,12 @@ impl Encode for Ply {
     fn begin(&mut self, layout: Layout) -> Result<Shape> {
         self.layout = layout;
         Ok(Shape {
-            header: header_bytes(layout, self.colors) as u64,
+            header: self.header_bytes() as u64,
             vertex: 12
                 + if layout.normals { 12 } else { 0 }
                 + if layout.keys { 13 } else { 0 }
                 + if self.colors { 3 } else { 0 },
-            triangle: FACE_BYTES,
+            triangle: self.face_bytes(),
         })
     }
 
@@ -140,7 +161,7 @@ impl Encode for Ply {
     fn triangles(&self, piece: &Piece, range: Range<usize>, out: &mut [u8]) {
         for (corners, record) in piece.triangles[range]
             .iter()
-            .zip(out.chunks_exact_mut(FACE_BYTES))
+            .zip(out.chunks_exact_mut(self.face_bytes()))
         {
             // The stream has checked that every number fits.
             let [a, b, c] = corners.map(|v| (piece.ids[v as usize] as u32).to_le_bytes());
@@ -148,11 +169,16 @@ impl Encode for Ply {
             record[1..5].copy_from_slice(&a);
             record[5..9].copy_from_slice(&b);
             record[9..13].copy_from_slice(&c);
+            if self.labels {
+                // A piece without a label belongs to the background.
+                let label = piece.label.unwrap_or(0).to_le_bytes();
+                record[13..].copy_from_slice(&label);
+            }
         }
     }
 
     fn header(&self, totals: Totals) -> Vec<u8> {
-        let text = |padding| header_text(self.layout, self.colors, totals, padding);
-        text(header_bytes(self.layout, self.colors) - text(0).len()).into_bytes()
+        let text = |padding| header_text(self, totals, padding);
+        text(self.header_bytes() - text(0).len()).into_bytes()
     }
 }

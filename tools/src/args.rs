@@ -285,6 +285,15 @@ pub(crate) struct Mesh {
     /// The surface of this segment of a label volume
     #[arg(long, value_name = "ID", conflicts_with = "iso")]
     pub label: Option<u32>,
+    /// The surfaces of these segments of a label volume, in one pass: all (but 0), or 1,2,5; a file for each
+    /// when OUT has {label} in its name, else one .ply whose faces have a label
+    #[arg(long, value_name = "IDS", value_parser = parse::labels,
+          conflicts_with_all = ["iso", "label", "seed", "inside"])]
+    pub labels: Option<parse::LabelList>,
+    /// Smooth the mask of each segment before it is meshed: passes of the kernel 1/4, 1/2, 1/4
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "labels",
+          value_parser = clap::value_parser!(u8).range(0..=4))]
+    pub label_smooth: u8,
     #[command(flatten)]
     pub pick: Pick,
     #[command(flatten)]

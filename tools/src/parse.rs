@@ -39,6 +39,34 @@ pub(crate) fn size(text: &str) -> Result<u64, String> {
     if bytes == 0 { Err(bad()) } else { Ok(bytes) }
 }
 
+/// Segments of a label volume.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum LabelList {
+    /// All but 0.
+    All,
+    /// These, in order, each once.
+    These(Vec<u32>),
+}
+
+/// `all`, or `1,2,5`.
+///
+/// # Errors
+/// Says how it is written.
+pub(crate) fn labels(text: &str) -> Result<LabelList, String> {
+    if text == "all" {
+        return Ok(LabelList::All);
+    }
+    let number = |part: &str| {
+        part.trim().parse().map_err(|_| {
+            format!("'{text}': write all, or segment numbers with commas, as in 1,2,5")
+        })
+    };
+    let mut list: Vec<u32> = text.split(',').map(number).collect::<Result<_, _>>()?;
+    list.sort_unstable();
+    list.dedup();
+    Ok(LabelList::These(list))
+}
+
 /// `1,2,3` as three values of one kind.
 ///
 /// # Errors

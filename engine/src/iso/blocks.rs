@@ -21,7 +21,7 @@ pub(super) struct Blocks {
     /// Lowest corners of all cells, half-open.
     pub(super) cells: Box3,
     /// Samples that are used; all others read as NaN.
-    samples: Box3,
+    pub(super) samples: Box3,
     /// Sample at the low corner of block (0, 0, 0).
     anchor: [i32; 3],
 }

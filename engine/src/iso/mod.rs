@@ -11,6 +11,8 @@ mod exact;
 mod extract;
 mod inner;
 mod interior;
+mod label_mask;
+mod labels;
 mod numbering;
 mod place;
 mod scan;
@@ -23,3 +25,4 @@ mod waist;
 mod walker;
 
 pub use extract::{Boundary, Extract, Stats, extract};
+pub use labels::{ExtractLabels, LabelStats, extract_labels, label_blocks};

@@ -59,11 +59,11 @@ struct Sweep<'a> {
 
 /// Sizes that follow from the budget.
 #[derive(Clone, Copy, Debug)]
-struct Limits {
-    threads: usize,
+pub(super) struct Limits {
+    pub(super) threads: usize,
     batches: usize,
     /// Blocks a ticket.
-    blocks: usize,
+    pub(super) blocks: usize,
 }
 
 /// Vertices and triangles of a piece. A block of 32^3 cells of white noise fills it; a block beyond
@@ -71,7 +71,12 @@ struct Limits {
 const PIECE_VERTICES: usize = 49_152;
 const PIECE_TRIANGLES: usize = 98_304;
 
-fn piece_bytes(style: &Style, vertices: usize, triangles: usize) -> u64 {
+/// Bytes of a piece with its usual room.
+pub(super) fn usual_piece_bytes(style: &Style) -> u64 {
+    piece_bytes(style, PIECE_VERTICES, PIECE_TRIANGLES)
+}
+
+pub(super) fn piece_bytes(style: &Style, vertices: usize, triangles: usize) -> u64 {
     let vertex = 12
         + 8
         + 4
@@ -82,8 +87,8 @@ fn piece_bytes(style: &Style, vertices: usize, triangles: usize) -> u64 {
 
 impl Limits {
     /// Pieces take at most a third of the budget; threads are fewer where that is not enough.
-    fn new(blocks: &Blocks, style: &Style, budget: &Budget) -> Result<Self> {
-        let piece = piece_bytes(style, PIECE_VERTICES, PIECE_TRIANGLES);
+    pub(super) fn new(blocks: &Blocks, style: &Style, budget: &Budget) -> Result<Self> {
+        let piece = usual_piece_bytes(style);
         let fits = (budget.memory_bytes() / 3 / piece) as usize;
         if fits == 0 {
             let needs = human_bytes(3 * piece);
@@ -111,7 +116,7 @@ pub(super) fn sweep(
     sink: &dyn MeshSink,
 ) -> Result<(Stats, Totals)> {
     let limits = Limits::new(&blocks, &style, budget)?;
-    let piece = piece_bytes(&style, PIECE_VERTICES, PIECE_TRIANGLES);
+    let piece = usual_piece_bytes(&style);
     let scratch = 4 * (blocks.edge as u64 + 5).pow(3) * 2;
     let _pieces = budget.take(
         limits.batches as u64 * piece + limits.threads as u64 * scratch,
@@ -364,7 +369,7 @@ impl Batch {
 
     /// Makes an empty batch large enough for `block`.
     fn make_room(&mut self, block: &Block, style: &Style, budget: &Budget) -> Result<()> {
-        let usual = piece_bytes(style, PIECE_VERTICES, PIECE_TRIANGLES);
+        let usual = usual_piece_bytes(style);
         let vertices = block.vertices_max.max(PIECE_VERTICES);
         let triangles = block.triangles_max.max(PIECE_TRIANGLES);
         let extra = piece_bytes(style, vertices, triangles) - usual;

@@ -75,6 +75,7 @@ pub fn pieces(mesh: &Mesh, piece_triangles: usize) -> impl Iterator<Item = Piece
                 .filter_map(|&id| mesh.keys.get(id as usize).copied())
                 .collect(),
             colors: Vec::new(),
+            label: None,
             own: (own.start as u64..own.end as u64).map(local).collect(),
             triangles: mesh.triangles[triangles]
                 .iter()

@@ -4,11 +4,14 @@ mod check;
 mod feed;
 mod indexed;
 pub mod measure;
+mod scratch;
 mod sink;
+mod spool;
 #[cfg(test)]
 mod test_meshes;
 
 pub use check::{Report, check};
 pub use feed::{feed, layout, pieces};
 pub use indexed::Mesh;
-pub use sink::{Collect, Count, EdgeKey, Layout, MeshSink, Piece, Totals};
+pub use sink::{Collect, Count, EdgeKey, LabelSink, Layout, MeshSink, Piece, Totals};
+pub use spool::{LabelSpool, Spool};

@@ -54,6 +54,8 @@ pub struct Piece {
     pub keys: Vec<EdgeKey>,
     /// Colour of each local vertex, red, green, blue; or empty.
     pub colors: Vec<[u8; 3]>,
+    /// Label of all triangles of this piece, for sinks that write it.
+    pub label: Option<u32>,
     /// Global number of each local vertex.
     pub ids: Vec<u64>,
     /// Local numbers of the new vertices; the global number of `own[i]` is `first_vertex + i`.
@@ -112,6 +114,30 @@ pub trait MeshSink: Sync {
     /// # Errors
     /// When the receiver fails; nothing is left under the final name then.
     fn finish(&mut self, totals: Totals) -> Result<()>;
+}
+
+/// A receiver of the meshes of many labels, piece by piece. The pieces of a label come in order,
+/// those of different labels in between each other.
+pub trait LabelSink: Send {
+    /// Most vertices and triangles that the mesh of a label may have.
+    fn capacity(&self) -> Totals {
+        Totals {
+            vertices: u64::MAX,
+            triangles: u64::MAX,
+        }
+    }
+
+    /// Says what the vertices carry.
+    ///
+    /// # Errors
+    /// When the receiver cannot take it.
+    fn begin(&mut self, layout: Layout) -> Result<()>;
+
+    /// Takes a piece of the mesh of `label`.
+    ///
+    /// # Errors
+    /// When the receiver is full or fails.
+    fn write(&mut self, label: u32, piece: &Piece) -> Result<()>;
 }
 
 /// Collects the mesh in memory.

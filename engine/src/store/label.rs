@@ -1,9 +1,9 @@
-//! One label of a volume as a mask.
+//! The labels of a volume: one of them as a mask, or all as numbers.
 
-use super::value::{bits_of, f64_of, key_of};
+use super::value::{bits_of, bits_of_key, f64_of, key_of};
 use super::volume::Volume;
-use crate::error::Result;
-use crate::field::{Field, Range, Samples};
+use crate::error::{Error, ErrorKind, Result};
+use crate::field::{Field, Labels, Range, Samples};
 use crate::lattice::{Box3, Grid};
 use crate::sample::{Kind, SampleType};
 
@@ -95,6 +95,65 @@ impl Field for LabelField<'_> {
             false
         })?;
         Ok(union)
+    }
+
+    fn forget(&self, region: Box3) {
+        self.volume.forget(region);
+    }
+
+    fn blocks_decoded(&self) -> u64 {
+        self.volume.blocks_decoded()
+    }
+}
+
+/// The samples of a volume as segment numbers; see [`Volume::labels`].
+pub struct LabelNumbers<'a> {
+    volume: &'a Volume,
+}
+
+impl<'a> LabelNumbers<'a> {
+    pub(super) fn new(volume: &'a Volume) -> Result<Self> {
+        let sample = volume.spec().sample;
+        if sample == SampleType::F32 {
+            return Err(Error::new(
+                ErrorKind::Unsupported,
+                "samples of type f32 are no segment numbers: import them as an integer type, or mesh one value \
+                 with --label",
+            ));
+        }
+        let lowest = volume.range(volume.grid().domain)?.min;
+        if lowest < 0.0 {
+            return Err(Error::bad_input(format!(
+                "segment numbers start at 0, and the lowest sample is {lowest}: mesh one segment with --label"
+            )));
+        }
+        Ok(Self { volume })
+    }
+}
+
+impl Labels for LabelNumbers<'_> {
+    fn grid(&self) -> &Grid {
+        self.volume.grid()
+    }
+
+    fn block_edge(&self) -> u32 {
+        self.volume.block_edge()
+    }
+
+    fn read(&self, region: Box3, out: &mut [u32]) -> Result<()> {
+        let sample = self.volume.spec().sample;
+        let [nx, ny, _] = region.size().map(|n| n as usize);
+        // No sample is negative: bits are numbers.
+        self.volume.gather(region, |patch| {
+            patch.put_bits(sample, out, [nx, nx * ny], |bits| bits);
+        })
+    }
+
+    fn range(&self, region: Box3) -> Result<Option<[u32; 2]>> {
+        let sample = self.volume.spec().sample;
+        let range = self.volume.key_range(region)?;
+        let number = |key| bits_of_key(sample, key);
+        Ok((!range.is_empty()).then(|| [number(range.low), number(range.high)]))
     }
 
     fn forget(&self, region: Box3) {

@@ -62,7 +62,7 @@ pub use damage::OnDamage;
 pub use import::{
     ImportOptions, import_in, import_plain, import_stream, import_with, partial_path,
 };
-pub use label::LabelField;
+pub use label::{LabelField, LabelNumbers};
 pub use spec::{VolumeInfo, VolumeSpec, default_brick_edge};
 pub use storage::{FileStorage, MemoryStorage, Storage};
 pub use verify::{MAX_PROBLEMS, Problem, Report, verify, verify_in};

@@ -6,7 +6,7 @@ use super::cache::{self, PageCache};
 use super::catalog::{Counts, Entry};
 use super::codec::decode;
 use super::damage::{Damage, OnDamage, stand_in};
-use super::label::LabelField;
+use super::label::{LabelField, LabelNumbers};
 use super::layout::{RECORD_HEADER, brick_bytes, record_bytes};
 use super::lod::{MAX_LEVELS, fits};
 use super::open::{Contents, Opened};
@@ -315,6 +315,14 @@ impl Volume {
     /// the samples, so that 32-bit ids are exact.
     pub fn label(&self, id: u32) -> LabelField<'_> {
         LabelField::new(self, id)
+    }
+
+    /// The samples as segment numbers, for all labels in one pass.
+    ///
+    /// # Errors
+    /// `Unsupported` for samples of type f32, `BadInput` when there may be samples below zero.
+    pub fn labels(&self) -> Result<LabelNumbers<'_>> {
+        LabelNumbers::new(self)
     }
 
     /// Calls `put(position in the region, samples, run)` for runs that cover `region`.

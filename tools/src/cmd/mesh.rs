@@ -1,13 +1,13 @@
 //! `mesh`: the isosurface of a volume into a mesh file, and a picture of it if wanted.
 
 use super::info::range_json;
-use super::{named, pick, region, seconds, thousands};
+use super::{labels, named, pick, region, seconds, thousands};
 use crate::Outcome;
 use crate::args::{BoundaryMode, InsideMode, Mesh, Shot, Space};
 use crate::job::Job;
 use crate::output::{self, Replace};
 use crate::picture;
-use crate::render::{Look, Raster, View, crossing_bounds};
+use crate::render::{Raster, crossing_bounds, look};
 use crate::tally::{Figures, Tally};
 use crate::tee::Tee;
 use brickmarch::budget::human_bytes;
@@ -19,6 +19,9 @@ use serde_json::{Value, json};
 use std::path::Path;
 
 pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
+    if args.labels.is_some() {
+        return labels::run(args);
+    }
     let replace = Replace::from(&args.overwrite);
     let job = Job::new(&args.run);
     if !args.dry_run {
@@ -130,7 +133,7 @@ fn options(args: &Mesh, field: &dyn Field) -> Result<Extract> {
         (Some(iso), _) => iso,
         (None, Kind::Label) => {
             return Err(Error::bad_input(
-                "a label volume has one surface per segment: give --label ID (or --iso V)",
+                "a label volume has one surface per segment: give --label ID, --labels all (or --iso V)",
             ));
         }
         (None, kind) => match kind.default_iso() {
@@ -167,7 +170,7 @@ fn options(args: &Mesh, field: &dyn Field) -> Result<Extract> {
 }
 
 /// The cells of the region: `--roi` counts cells, `--roi-world` the cells between its samples.
-fn cells(args: &Mesh, field: &dyn Field) -> Result<Option<Box3>> {
+pub(super) fn cells(args: &Mesh, field: &dyn Field) -> Result<Option<Box3>> {
     let found = region::resolve(&args.region, field.grid())?;
     if args.region.roi.is_some() {
         return Ok(found);
@@ -283,19 +286,7 @@ pub(super) fn open_raster(
         .intersect(&domain);
     let inside = options.inside.unwrap_or(field.kind().inside());
     let bounds = crossing_bounds(field, region, options.iso, inside)?;
-    let [width, height] = shot.picture_size;
-    let look = Look {
-        width,
-        height,
-        view: View {
-            azimuth_deg: shot.view[0],
-            elevation_deg: shot.view[1],
-        },
-        parallel: shot.parallel,
-        colour: shot.colour,
-        ..Look::default()
-    };
-    Raster::new(&look, &bounds, budget)
+    Raster::new(&look(shot), &bounds, budget)
 }
 
 /// Blocks that extraction will look at; 0 where seeds decide.

@@ -7,6 +7,7 @@ pub(crate) mod demo;
 pub(crate) mod export;
 pub(crate) mod import;
 pub(crate) mod info;
+mod labels;
 pub(crate) mod manual;
 pub(crate) mod mesh;
 pub(crate) mod model;

@@ -12,8 +12,24 @@ mod raster;
 mod shade;
 
 pub(crate) use bounds::crossing_bounds;
-pub(crate) use camera::View;
-#[cfg(test)]
-use camera::WorldBox;
+pub(crate) use camera::{View, WorldBox};
 pub(crate) use raster::Raster;
 pub(crate) use shade::Look;
+
+use crate::args::Shot;
+
+/// What a picture looks like that the command line asks for.
+pub(crate) fn look(shot: &Shot) -> Look {
+    let [width, height] = shot.picture_size;
+    Look {
+        width,
+        height,
+        view: View {
+            azimuth_deg: shot.view[0],
+            elevation_deg: shot.view[1],
+        },
+        parallel: shot.parallel,
+        colour: shot.colour,
+        ..Look::default()
+    }
+}
