@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod batch;
+mod labels;
 mod pipeline;
 mod real_data;
 mod signals;

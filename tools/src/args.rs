@@ -292,6 +292,7 @@ pub(crate) struct Mesh {
     pub labels: Option<parse::LabelList>,
     /// Smooth the mask of each segment before it is meshed: passes of the kernel 1/4, 1/2, 1/4
     #[arg(long, value_name = "N", default_value_t = 0, requires = "labels",
+          conflicts_with_all = ["iso", "label", "seed", "inside"],
           value_parser = clap::value_parser!(u8).range(0..=4))]
     pub label_smooth: u8,
     #[command(flatten)]
