@@ -180,7 +180,7 @@ fn together(
     for &(label, totals) in &stats.labels {
         let mut sink = Collect::default();
         sink.begin(spool.layout()).expect("begun");
-        spool.replay(label, Totals::default(), &sink).expect("read");
+        spool.replay(label, &sink).expect("read");
         let mesh = sink.into_mesh();
         assert_eq!(mesh.positions.len() as u64, totals.vertices);
         assert_eq!(mesh.triangles.len() as u64, totals.triangles);

@@ -3,6 +3,7 @@
 mod analytic;
 mod checker;
 pub(crate) mod compare;
+mod components;
 mod labels;
 mod laws;
 mod normals;

@@ -308,6 +308,12 @@ pub(crate) struct Mesh {
     /// Which side of the isovalue is inside [default: below for a distance, above otherwise]
     #[arg(long, value_enum)]
     pub inside: Option<InsideMode>,
+    /// Only one component: the largest (by triangles), or the N-th largest; of each segment with --labels
+    #[arg(long, value_name = "largest|N", value_parser = parse::component)]
+    pub component: Option<u64>,
+    /// Only components of at least this many triangles
+    #[arg(long, value_name = "K", conflicts_with = "component")]
+    pub min_triangles: Option<u64>,
     /// Measure the surface while it is made: area, volume, and whether it is closed
     #[arg(long)]
     pub measure: bool,

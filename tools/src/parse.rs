@@ -39,6 +39,20 @@ pub(crate) fn size(text: &str) -> Result<u64, String> {
     if bytes == 0 { Err(bad()) } else { Ok(bytes) }
 }
 
+/// `largest` as 1, or a number from 1.
+///
+/// # Errors
+/// Says how it is written.
+pub(crate) fn component(text: &str) -> Result<u64, String> {
+    match (text, text.parse()) {
+        ("largest", _) => Ok(1),
+        (_, Ok(n)) if n > 0 => Ok(n),
+        _ => Err(format!(
+            "'{text}': write largest, or a number from 1, where 1 is the largest"
+        )),
+    }
+}
+
 /// Segments of a label volume.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum LabelList {
@@ -213,6 +227,20 @@ pub(crate) fn colour(text: &str) -> Result<[u8; 3], String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn components_and_labels() {
+        assert_eq!(component("largest"), Ok(1));
+        assert_eq!(component("3"), Ok(3));
+        assert_eq!(labels("all"), Ok(LabelList::All));
+        assert_eq!(labels("5, 1,5"), Ok(LabelList::These(vec![1, 5])));
+        for bad in ["", "0", "-1", "1.5", "smallest", "Largest"] {
+            assert!(component(bad).is_err(), "{bad}");
+        }
+        for bad in ["", "1,", "-1", "4294967296", "ALL", "1;2"] {
+            assert!(labels(bad).is_err(), "{bad}");
+        }
+    }
 
     #[test]
     fn sizes() {

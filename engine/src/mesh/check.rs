@@ -6,6 +6,7 @@
 //! after the other in little memory when it does not.
 
 use super::Mesh;
+use super::joined::unite;
 use super::measure::{self, Sums};
 use crate::budget::{Budget, human_bytes};
 use crate::error::{Error, ErrorKind, Result};
@@ -186,26 +187,6 @@ fn joined_vertices(mesh: &Mesh) -> Vec<u32> {
         unite(&mut parents, root, c);
     }
     parents
-}
-
-/// Joins the sets of `a` and `b` under the lower root; gives the root and whether they were apart.
-fn unite(parents: &mut [u32], a: u32, b: u32) -> (u32, bool) {
-    let (a, b) = (root(parents, a), root(parents, b));
-    let (low, high) = (a.min(b), a.max(b));
-    parents[high as usize] = low;
-    (low, low != high)
-}
-
-fn root(parents: &mut [u32], mut v: u32) -> u32 {
-    loop {
-        let parent = parents[v as usize];
-        if parent == v {
-            return v;
-        }
-        let above = parents[parent as usize];
-        parents[v as usize] = above;
-        v = above;
-    }
 }
 
 /// What is counted at the vertices.

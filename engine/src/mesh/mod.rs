@@ -1,16 +1,20 @@
 //! Triangle meshes: the mesh in memory, sinks that take one while it is made, and its examination.
 
 mod check;
+mod components;
 mod feed;
 mod indexed;
+mod joined;
 pub mod measure;
 mod scratch;
 mod sink;
+mod slots;
 mod spool;
 #[cfg(test)]
 mod test_meshes;
 
 pub use check::{Report, check};
+pub use components::{Components, Kept, Which};
 pub use feed::{feed, layout, pieces};
 pub use indexed::Mesh;
 pub use sink::{Collect, Count, EdgeKey, LabelSink, Layout, MeshSink, Piece, Totals};

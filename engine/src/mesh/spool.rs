@@ -226,22 +226,18 @@ impl LabelSpool {
         self.spool.flush()
     }
 
-    /// Writes the mesh of `label` to `sink`, whose numbers it starts at `first`; `begin` and
-    /// `finish` are the caller's.
+    /// Writes the mesh of `label` to `sink`, last piece first; `begin` and `finish` are the caller's.
     ///
     /// # Errors
     /// When the scratch file cannot be read or the sink fails.
     ///
     /// # Memory
     /// One piece.
-    pub fn replay(&self, label: u32, first: Totals, sink: &dyn MeshSink) -> Result<()> {
+    pub fn replay(&self, label: u32, sink: &dyn MeshSink) -> Result<()> {
         let (mut piece, mut buffer) = (Piece::default(), Vec::new());
         let mut at = self.last.get(&label).copied().unwrap_or(NONE);
         while at != NONE {
             at = self.spool.read(at, &mut piece, &mut buffer)?;
-            piece.first_vertex += first.vertices;
-            piece.first_triangle += first.triangles;
-            piece.ids.iter_mut().for_each(|id| *id += first.vertices);
             piece.label = Some(label);
             sink.write(&piece)?;
         }
@@ -310,13 +306,11 @@ mod tests {
         for (label, mesh) in &meshes {
             let mut sink = Collect::default();
             MeshSink::begin(&mut sink, spool.layout()).expect("begun");
-            spool
-                .replay(*label, Totals::default(), &sink)
-                .expect("read");
+            spool.replay(*label, &sink).expect("read");
             assert_eq!(sink.into_mesh(), *mesh);
         }
         let sink = Collect::default();
-        spool.replay(8, Totals::default(), &sink).expect("nothing");
+        spool.replay(8, &sink).expect("nothing");
         assert_eq!(sink.into_mesh(), Mesh::default());
     }
 

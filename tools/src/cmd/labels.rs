@@ -1,6 +1,6 @@
 //! `mesh --labels`: the surfaces of many segments in one pass over the volume.
 
-use super::mesh::cells;
+use super::mesh::{cells, keep, scratch_files};
 use super::{named, pick, seconds, thousands};
 use crate::Outcome;
 use crate::args::{BoundaryMode, Mesh, Space};
@@ -15,7 +15,7 @@ use crate::tee::Tee;
 use brickmarch::budget::human_bytes;
 use brickmarch::field::Labels;
 use brickmarch::iso::{Boundary, ExtractLabels, LabelStats, extract_labels, label_blocks};
-use brickmarch::mesh::{LabelSpool, Layout, MeshSink, Piece, Totals};
+use brickmarch::mesh::{Components, LabelSpool, Layout, MeshSink, Piece, Totals};
 use brickmarch::{Error, ErrorKind, Result};
 use brickmarch_formats as formats;
 use glam::{DVec3, Vec3};
@@ -169,19 +169,39 @@ impl Made<'_> {
         }
     }
 
+    /// Sends a segment, or those components of it that are wanted, from `begin` to `finish`.
+    fn send(&self, label: u32, totals: Totals, sink: &mut dyn MeshSink) -> Result<Totals> {
+        let Some(which) = keep(self.args) else {
+            sink.begin(self.spool.layout())?;
+            self.spool.replay(label, sink)?;
+            sink.finish(totals)?;
+            return Ok(totals);
+        };
+        let scratch = scratch_files(&self.args.out)?;
+        let mut some = Components::new(which, true, scratch, &self.job.budget, sink)?;
+        some.begin(self.spool.layout())?;
+        self.spool.replay(label, &some)?;
+        some.finish(totals)?;
+        Ok(some.kept().totals)
+    }
+
     /// Writes a segment into `file`, and measures it if wanted.
-    fn pour(&self, label: u32, totals: Totals, file: &mut dyn MeshSink) -> Result<Option<Figures>> {
+    fn pour(&self, label: u32, totals: Totals, file: &mut dyn MeshSink) -> Result<Written> {
         let mut tally = Tally::default();
         let mut tee = Tee::default();
         tee.add(file, self.wanted());
         if self.args.measure {
             tee.add(&mut tally, Layout::default());
         }
-        tee.begin(self.spool.layout())?;
-        self.spool.replay(label, Totals::default(), &tee)?;
-        tee.finish(totals)?;
+        let totals = self.send(label, totals, &mut tee)?;
         drop(tee);
-        Ok(self.args.measure.then(|| tally.figures()))
+        Ok(Written {
+            label,
+            totals,
+            file: None,
+            bytes: 0,
+            figures: self.args.measure.then(|| tally.figures()),
+        })
     }
 
     /// A file for each segment.
@@ -197,15 +217,10 @@ impl Made<'_> {
                 self.job.budget.check_cancelled()?;
                 let path = file_of(&self.args.out, label);
                 let mut file = formats::create_mesh_sink(&path, self.replace == Replace::Yes)?;
-                let figures = self.pour(label, totals, file.as_mut())?;
-                let bytes = std::fs::metadata(&path).map_or(0, |m| m.len());
-                written.lock().expect("no thread panicked").push(Written {
-                    label,
-                    totals,
-                    file: Some(path),
-                    bytes,
-                    figures,
-                });
+                let mut made = self.pour(label, totals, file.as_mut())?;
+                made.bytes = std::fs::metadata(&path).map_or(0, |m| m.len());
+                made.file = Some(path);
+                written.lock().expect("no thread panicked").push(made);
             }
             Ok(())
         };
@@ -234,31 +249,18 @@ impl Made<'_> {
         let mut written = Vec::new();
         for &(label, totals) in &self.stats.labels {
             self.job.budget.check_cancelled()?;
-            self.spool.replay(label, first, file.as_ref())?;
-            first.vertices += totals.vertices;
-            first.triangles += totals.triangles;
-            let figures = match self.args.measure {
-                true => self.measure(label, totals)?,
-                false => None,
-            };
-            written.push(Written {
+            let mut behind = Behind {
+                file: file.as_ref(),
+                first,
                 label,
-                totals,
-                file: None,
-                bytes: 0,
-                figures,
-            });
+            };
+            let made = self.pour(label, totals, &mut behind)?;
+            first.vertices += made.totals.vertices;
+            first.triangles += made.totals.triangles;
+            written.push(made);
         }
         file.finish(first)?;
         Ok(written)
-    }
-
-    fn measure(&self, label: u32, totals: Totals) -> Result<Option<Figures>> {
-        let mut tally = Tally::default();
-        tally.begin(self.spool.layout())?;
-        self.spool.replay(label, Totals::default(), &tally)?;
-        tally.finish(totals)?;
-        Ok(Some(tally.figures()))
     }
 
     /// All segments in their colours; the size of the picture's file.
@@ -266,14 +268,14 @@ impl Made<'_> {
         let Some(path) = &self.args.shot.picture else {
             return Ok(None);
         };
-        let bounds = Bounds::default();
-        for &(label, _) in &self.stats.labels {
-            self.spool.replay(label, Totals::default(), &bounds)?;
+        let mut bounds = Bounds::default();
+        for &(label, totals) in &self.stats.labels {
+            self.send(label, totals, &mut bounds)?;
         }
-        let raster = Raster::new(&look(&self.args.shot), &bounds.world(), &self.job.budget)?;
-        for &(label, _) in &self.stats.labels {
+        let mut raster = Raster::new(&look(&self.args.shot), &bounds.world(), &self.job.budget)?;
+        for &(label, totals) in &self.stats.labels {
             self.job.budget.check_cancelled()?;
-            self.spool.replay(label, Totals::default(), &raster)?;
+            self.send(label, totals, &mut raster)?;
         }
         let drawn: Vec<u32> = self.stats.labels.iter().map(|&(label, _)| label).collect();
         let back = source.grid().index_to_world.inverse()?;
@@ -310,6 +312,35 @@ fn nearest(source: &dyn Labels, drawn: &[u32], at: [f64; 3]) -> Option<u32> {
         .filter(|&n| drawn.binary_search(&labels[n]).is_ok())
         .min_by(|a, b| far(a).total_cmp(&far(b)))
         .map(|n| labels[n])
+}
+
+/// The mesh of a segment behind those of others in one file.
+struct Behind<'a> {
+    file: &'a dyn MeshSink,
+    first: Totals,
+    label: u32,
+}
+
+impl MeshSink for Behind<'_> {
+    fn begin(&mut self, _layout: Layout) -> Result<()> {
+        Ok(())
+    }
+
+    fn write(&self, piece: &Piece) -> Result<()> {
+        let mut piece = piece.clone();
+        piece.first_vertex += self.first.vertices;
+        piece.first_triangle += self.first.triangles;
+        piece
+            .ids
+            .iter_mut()
+            .for_each(|id| *id += self.first.vertices);
+        piece.label = Some(self.label);
+        self.file.write(&piece)
+    }
+
+    fn finish(&mut self, _totals: Totals) -> Result<()> {
+        Ok(())
+    }
 }
 
 /// Where the vertices lie.

@@ -12,10 +12,11 @@ use crate::tally::{Figures, Tally};
 use crate::tee::Tee;
 use brickmarch::budget::human_bytes;
 use brickmarch::iso::{Boundary, Extract, Stats, extract};
-use brickmarch::mesh::Layout;
+use brickmarch::mesh::{Components, Kept, Layout, Which};
 use brickmarch::store::Volume;
 use brickmarch::{Box3, Budget, Error, ErrorKind, Field, Inside, Kind, MeshSink, Result};
 use serde_json::{Value, json};
+use std::fs::File;
 use std::path::Path;
 
 pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
@@ -53,13 +54,19 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
     let Made {
         stats,
         figures,
+        kept,
         picture_bytes,
     } = made;
     let text = format!(
-        "{}: {} triangles, {} vertices{}, {}, {}, peak {}\n",
+        "{}: {} triangles, {} vertices{}{}, {}, {}, peak {}\n",
         args.out.display(),
         thousands(stats.triangles),
         thousands(stats.vertices),
+        kept.map_or(String::new(), |k| format!(
+            ", {} of {} components",
+            thousands(k.kept),
+            thousands(k.found)
+        )),
         figures.map_or(String::new(), |f| format!(
             ", {}, area {:.6}, volume {:.6}",
             if f.closed { "closed" } else { "open" },
@@ -80,6 +87,10 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
         "picture": args.shot.picture, "picture_bytes": picture_bytes,
     });
     add_figures(&mut json, &stats, figures.as_ref());
+    if let Some(kept) = kept {
+        json["components_found"] = json!(kept.found);
+        json["components_kept"] = json!(kept.kept);
+    }
     job.result(&text, &json)?;
     Ok(
         match pick::report_substituted(&volume, &args.volume, &job) {
@@ -121,6 +132,18 @@ fn check_label(volume: &Volume, id: u32) -> Result<()> {
         )));
     }
     Ok(())
+}
+
+/// Which components the command line asks for, if not all.
+pub(super) fn keep(args: &Mesh) -> Option<Which> {
+    let largest = args.component.map(Which::Largest);
+    largest.or(args.min_triangles.map(Which::AtLeast))
+}
+
+/// Three nameless files in the folder of `beside`, for what waits until components are known.
+pub(super) fn scratch_files(beside: &Path) -> Result<[File; 3]> {
+    let file = || brickmarch_formats::scratch_file(beside);
+    Ok([file()?, file()?, file()?])
 }
 
 /// The options of extraction that the command line asks for.
@@ -191,6 +214,8 @@ pub(super) fn cells(args: &Mesh, field: &dyn Field) -> Result<Option<Box3>> {
 struct Made {
     stats: Stats,
     figures: Option<Figures>,
+    /// Where not all components were wanted.
+    kept: Option<Kept>,
     picture_bytes: Option<u64>,
 }
 
@@ -210,18 +235,15 @@ fn make(
         normals: args.normals,
         keys: args.keys,
     };
+    let mut kept = None;
     let (stats, figures) = {
         let _watch = job.watch_counted("meshing", || count_work(field, options, &job.budget))?;
         let raster = raster.as_mut().map(|r| r as &mut dyn MeshSink);
-        pass(
-            field,
-            options,
-            &job.budget,
-            file.as_mut(),
-            wanted,
-            raster,
-            args.measure,
-        )?
+        pour(file.as_mut(), wanted, raster, args.measure, |sink| {
+            let (stats, some) = extract_some(field, options, &job.budget, args, sink)?;
+            kept = some;
+            Ok(stats)
+        })?
     };
     let mut picture_bytes = None;
     if let (Some(raster), Some(path)) = (raster, &args.shot.picture) {
@@ -231,6 +253,7 @@ fn make(
     Ok(Made {
         stats,
         figures,
+        kept,
         picture_bytes,
     })
 }
@@ -248,6 +271,19 @@ pub(super) fn pass(
     raster: Option<&mut dyn MeshSink>,
     measure: bool,
 ) -> Result<(Stats, Option<Figures>)> {
+    pour(file, wanted, raster, measure, |sink| {
+        extract(field, options, budget, sink)
+    })
+}
+
+/// The mesh that `make` makes, into a file, a tally and a picture.
+fn pour(
+    file: &mut dyn MeshSink,
+    wanted: Layout,
+    raster: Option<&mut dyn MeshSink>,
+    measure: bool,
+    make: impl FnOnce(&mut dyn MeshSink) -> Result<Stats>,
+) -> Result<(Stats, Option<Figures>)> {
     let mut tally = Tally::default();
     let all = Layout {
         normals: true,
@@ -261,9 +297,28 @@ pub(super) fn pass(
     if let Some(raster) = raster {
         tee.add(raster, all);
     }
-    let stats = extract(field, options, budget, &mut tee)?;
+    let stats = make(&mut tee)?;
     drop(tee);
     Ok((stats, measure.then(|| tally.figures())))
+}
+
+/// Extracts into `sink` the components that are wanted.
+fn extract_some(
+    field: &dyn Field,
+    options: &Extract,
+    budget: &Budget,
+    args: &Mesh,
+    sink: &mut dyn MeshSink,
+) -> Result<(Stats, Option<Kept>)> {
+    let Some(which) = keep(args) else {
+        return Ok((extract(field, options, budget, sink)?, None));
+    };
+    let scratch = scratch_files(&args.out)?;
+    let mut some = Components::new(which, options.allow_empty, scratch, budget, sink)?;
+    let mut stats = extract(field, options, budget, &mut some)?;
+    let kept = some.kept();
+    (stats.vertices, stats.triangles) = (kept.totals.vertices, kept.totals.triangles);
+    Ok((stats, Some(kept)))
 }
 
 pub(super) fn open_raster(
