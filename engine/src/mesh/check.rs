@@ -100,13 +100,7 @@ pub fn check(mesh: &Mesh, budget: &Budget) -> Result<Report> {
             format!("a mesh of {triangles} triangles; {MOST_TRIANGLES} can be checked"),
         ));
     }
-    let lost = |t: &[u32; 3]| t.iter().any(|&v| v as usize >= vertices);
-    if let Some(t) = mesh.triangles.iter().position(lost) {
-        return Err(Error::bad_input(format!(
-            "triangle {t} names vertices {:?} of a mesh with {vertices}",
-            mesh.triangles[t]
-        )));
-    }
+    refuse_lost(mesh)?;
     let mut permit = budget.take(8 * vertices as u64, "checking the mesh")?;
     let (parents, (degrees, sums)) = join(
         budget.threads(),
@@ -120,6 +114,20 @@ pub fn check(mesh: &Mesh, budget: &Budget) -> Result<Report> {
     permit.try_resize(4 * vertices as u64);
     let counts = count_around_all(mesh, &degrees, budget)?;
     Ok(report(mesh, &degrees, components, counts, sums))
+}
+
+/// # Errors
+/// When a triangle names a vertex that the mesh does not have.
+pub(super) fn refuse_lost(mesh: &Mesh) -> Result<()> {
+    let vertices = mesh.positions.len();
+    let lost = |t: &[u32; 3]| t.iter().any(|&v| v as usize >= vertices);
+    match mesh.triangles.iter().position(lost) {
+        None => Ok(()),
+        Some(t) => Err(Error::bad_input(format!(
+            "triangle {t} names vertices {:?} of a mesh with {vertices}",
+            mesh.triangles[t]
+        ))),
+    }
 }
 
 fn report(mesh: &Mesh, degrees: &[u32], components: u64, counts: Counts, sums: Sums) -> Report {

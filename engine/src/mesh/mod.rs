@@ -1,12 +1,16 @@
 //! Triangle meshes: the mesh in memory, sinks that take one while it is made, and its examination.
 
+mod boxes;
 mod check;
 mod components;
+mod crossings;
 mod feed;
 mod indexed;
 mod joined;
 pub mod measure;
+mod meet;
 mod scratch;
+mod shapes;
 mod sink;
 mod slots;
 mod spool;
@@ -15,7 +19,9 @@ mod test_meshes;
 
 pub use check::{Report, check};
 pub use components::{Components, Kept, Which};
+pub use crossings::{Crossings, crossings};
 pub use feed::{feed, layout, pieces};
 pub use indexed::Mesh;
+pub use shapes::{PERCENTILES, SLIVER_DEG, Shapes, Spread, shapes};
 pub use sink::{Collect, Count, EdgeKey, LabelSink, Layout, MeshSink, Piece, Totals};
 pub use spool::{LabelSpool, Spool};
