@@ -6,6 +6,7 @@
 //! after the other in little memory when it does not.
 
 use super::Mesh;
+use super::around::{Around, Counts, scratch_bytes};
 use super::joined::unite;
 use super::measure::{self, Sums};
 use crate::budget::{Budget, human_bytes};
@@ -113,7 +114,19 @@ pub fn check(mesh: &Mesh, budget: &Budget) -> Result<Report> {
     drop(parents);
     permit.try_resize(4 * vertices as u64);
     let counts = count_around_all(mesh, &degrees, budget)?;
-    Ok(report(mesh, &degrees, components, counts, sums))
+    let used = degrees.iter().filter(|&&d| d > 0).count() as u64;
+    let nonfinite = mesh.positions.iter().filter(|p| !measure::is_finite(p));
+    let found = Found {
+        vertices: vertices as u64,
+        triangles: triangles as u64,
+        used,
+        nonfinite: nonfinite.count() as u64,
+        bounds: measure::bounds(mesh),
+        components,
+        counts,
+        sums,
+    };
+    Ok(found.report())
 }
 
 /// # Errors
@@ -130,37 +143,47 @@ pub(super) fn refuse_lost(mesh: &Mesh) -> Result<()> {
     }
 }
 
-fn report(mesh: &Mesh, degrees: &[u32], components: u64, counts: Counts, sums: Sums) -> Report {
-    let used = degrees.iter().filter(|&&d| d > 0).count() as u64;
-    let triangles = mesh.triangles.len() as u64;
-    let mut report = Report {
-        vertices: degrees.len() as u64,
-        triangles,
-        edges: counts.edges,
-        closed: counts.border == 0,
-        border_edges: counts.border,
-        nonmanifold_edges: counts.crowded,
-        misoriented_edges: counts.misoriented,
-        nonmanifold_vertices: counts.extra_fans,
-        degenerate_triangles: sums.degenerate,
-        unused_vertices: degrees.len() as u64 - used,
-        nonfinite_vertices: mesh
-            .positions
-            .iter()
-            .filter(|p| !measure::is_finite(p))
-            .count() as u64,
-        components,
-        euler: used as i64 - counts.edges as i64 + triangles as i64,
-        genus: None,
-        area: sums.area,
-        volume: sums.volume,
-        bounds: measure::bounds(mesh),
-    };
-    if report.closed && report.is_manifold() && report.is_oriented() {
-        // Every component has euler 2 - 2 genus.
-        report.genus = u64::try_from(components as i64 - report.euler / 2).ok();
+/// What a report is made of.
+pub(super) struct Found {
+    pub(super) vertices: u64,
+    pub(super) triangles: u64,
+    /// Vertices of triangles.
+    pub(super) used: u64,
+    pub(super) nonfinite: u64,
+    pub(super) bounds: Option<[[f32; 3]; 2]>,
+    pub(super) components: u64,
+    pub(super) counts: Counts,
+    pub(super) sums: Sums,
+}
+
+impl Found {
+    pub(super) fn report(self) -> Report {
+        let Found { counts, sums, .. } = self;
+        let mut report = Report {
+            vertices: self.vertices,
+            triangles: self.triangles,
+            edges: counts.edges,
+            closed: counts.border == 0,
+            border_edges: counts.border,
+            nonmanifold_edges: counts.crowded,
+            misoriented_edges: counts.misoriented,
+            nonmanifold_vertices: counts.extra_fans,
+            degenerate_triangles: sums.degenerate,
+            unused_vertices: self.vertices - self.used,
+            nonfinite_vertices: self.nonfinite,
+            components: self.components,
+            euler: self.used as i64 - counts.edges as i64 + self.triangles as i64,
+            genus: None,
+            area: sums.area,
+            volume: sums.volume,
+            bounds: self.bounds,
+        };
+        if report.closed && report.is_manifold() && report.is_oriented() {
+            // Every component has euler 2 - 2 genus.
+            report.genus = u64::try_from(self.components as i64 - report.euler / 2).ok();
+        }
+        report
     }
-    report
 }
 
 /// Runs both, at the same time when there are two threads.
@@ -195,31 +218,6 @@ fn joined_vertices(mesh: &Mesh) -> Vec<u32> {
         unite(&mut parents, root, c);
     }
     parents
-}
-
-/// What is counted at the vertices.
-#[derive(Clone, Copy, Debug, Default)]
-struct Counts {
-    edges: u64,
-    border: u64,
-    crowded: u64,
-    misoriented: u64,
-    extra_fans: u64,
-}
-
-impl Counts {
-    fn add(&mut self, other: Self) {
-        self.edges += other.edges;
-        self.border += other.border;
-        self.crowded += other.crowded;
-        self.misoriented += other.misoriented;
-        self.extra_fans += other.extra_fans;
-    }
-}
-
-/// Bytes to examine one vertex with the given number of corners, beside the list of its range.
-fn scratch_bytes(degree: u32) -> u64 {
-    u64::from(degree) * (2 * 8 + 4)
 }
 
 /// Bytes of the list of a range.
@@ -275,7 +273,7 @@ fn count_around_all(mesh: &Mesh, degrees: &[u32], budget: &Budget) -> Result<Cou
         let mut around = Around::default();
         while let Some(range) = ranges.get(next.fetch_add(1, Ordering::Relaxed)) {
             budget.check_cancelled()?;
-            let counts = around.count(mesh, degrees, range.clone());
+            let counts = around.count(&mesh.triangles, &degrees[range.clone()], range.clone());
             total.lock().expect("no worker panicked").add(counts);
         }
         Ok(())
@@ -292,102 +290,6 @@ fn count_around_all(mesh: &Mesh, degrees: &[u32], budget: &Budget) -> Result<Cou
         result
     })?;
     Ok(total.into_inner().expect("no worker panicked"))
-}
-
-/// Buffers of a worker.
-#[derive(Default)]
-struct Around {
-    /// Where the triangles of each vertex of the range end in `triangles`.
-    ends: Vec<u32>,
-    /// Triangles around the vertices of the range, in order; twice where a vertex occurs twice.
-    triangles: Vec<u32>,
-    /// Edges at one vertex, one entry a triangle: the other end, then the corner, then whether the
-    /// triangle runs along it away from the vertex.
-    edges: Vec<u64>,
-    /// Corners of one vertex that are in the same fan.
-    fans: Vec<u32>,
-}
-
-impl Around {
-    fn count(&mut self, mesh: &Mesh, degrees: &[u32], range: Range<usize>) -> Counts {
-        self.list(mesh, degrees, range.clone());
-        let mut counts = Counts::default();
-        let mut start = 0;
-        for v in range.clone() {
-            let end = self.ends[v - range.start] as usize;
-            if end > start {
-                self.count_at(mesh, v as u32, start..end, &mut counts);
-            }
-            start = end;
-        }
-        counts
-    }
-
-    fn list(&mut self, mesh: &Mesh, degrees: &[u32], range: Range<usize>) {
-        self.ends.clear();
-        let mut corners = 0;
-        // Starts for now; filling moves each to its end.
-        self.ends.extend(degrees[range.clone()].iter().map(|&d| {
-            let start = corners;
-            corners += d;
-            start
-        }));
-        self.triangles.clear();
-        self.triangles.resize(corners as usize, 0);
-        for (t, triangle) in mesh.triangles.iter().enumerate() {
-            for &v in triangle {
-                let local = (v as usize).wrapping_sub(range.start);
-                if let Some(place) = self.ends.get_mut(local) {
-                    self.triangles[*place as usize] = t as u32;
-                    *place += 1;
-                }
-            }
-        }
-    }
-
-    fn count_at(&mut self, mesh: &Mesh, v: u32, list: Range<usize>, counts: &mut Counts) {
-        let list = &self.triangles[list];
-        self.edges.clear();
-        for (corner, &t) in list.iter().enumerate() {
-            if corner > 0 && list[corner - 1] == t {
-                // A triangle that names the vertex again; its edges are listed already.
-                continue;
-            }
-            let [a, b, c] = mesh.triangles[t as usize];
-            for (from, to) in [(a, b), (b, c), (c, a)] {
-                let (other, away) = if from == v {
-                    (to, 1)
-                } else if to == v {
-                    (from, 0)
-                } else {
-                    continue;
-                };
-                self.edges
-                    .push(u64::from(other) << 32 | (corner as u64) << 1 | away);
-            }
-        }
-        self.edges.sort_unstable();
-        self.fans.clear();
-        self.fans.extend(0..list.len() as u32);
-        let mut fans = list.len() as u64;
-        for edge in self.edges.chunk_by(|a, b| a >> 32 == b >> 32) {
-            // Each edge is counted at its lower end.
-            if (edge[0] >> 32) as u32 >= v {
-                counts.edges += 1;
-                match edge {
-                    [_] => counts.border += 1,
-                    [a, b] => counts.misoriented += u64::from((a ^ b) & 1 == 0),
-                    _ => counts.crowded += 1,
-                }
-            }
-            if let [a, b] = edge {
-                let corner = |entry: &u64| *entry as u32 >> 1;
-                let (_, apart) = unite(&mut self.fans, corner(a), corner(b));
-                fans -= u64::from(apart);
-            }
-        }
-        counts.extra_fans += fans - 1;
-    }
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@
 use super::Mesh;
 
 /// Triangles whose values are added one after the other.
-const BLOCK: usize = 1 << 12;
+pub(super) const BLOCK: usize = 1 << 12;
 
 /// Area of all triangles, in square world units. NaN when a corner is not finite.
 ///
@@ -59,7 +59,12 @@ pub(super) fn sums(mesh: &Mesh) -> Sums {
         .chunks(BLOCK)
         .map(|block| block_sums(mesh, block))
         .collect();
-    let mut total = pairwise(&blocks);
+    total(&blocks)
+}
+
+/// The sums of the whole from those of its blocks.
+pub(super) fn total(blocks: &[Sums]) -> Sums {
+    let mut total = pairwise(blocks);
     total.volume /= 6.0;
     total.area /= 2.0;
     total
@@ -81,11 +86,18 @@ fn pairwise(parts: &[Sums]) -> Sums {
     }
 }
 
-/// Twice the area, six times the volume.
 fn block_sums(mesh: &Mesh, block: &[[u32; 3]]) -> Sums {
     let mut sums = Sums::default();
     for corners in block {
-        let [a, b, c] = corners.map(|v| mesh.positions[v as usize].map(f64::from));
+        sums.add(corners, corners.map(|v| mesh.positions[v as usize]));
+    }
+    sums
+}
+
+impl Sums {
+    /// Adds twice the area and six times the volume of a triangle.
+    pub(super) fn add(&mut self, corners: &[u32; 3], points: [[f32; 3]; 3]) {
+        let [a, b, c] = points.map(|p| p.map(f64::from));
         let u = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
         let v = [c[0] - a[0], c[1] - a[1], c[2] - a[2]];
         let cross = [
@@ -94,14 +106,13 @@ fn block_sums(mesh: &Mesh, block: &[[u32; 3]]) -> Sums {
             u[0] * v[1] - u[1] * v[0],
         ];
         let dot = |p: [f64; 3], q: [f64; 3]| p[0] * q[0] + p[1] * q[1] + p[2] * q[2];
-        sums.area += dot(cross, cross).sqrt();
-        sums.volume += dot(a, cross);
+        self.area += dot(cross, cross).sqrt();
+        self.volume += dot(a, cross);
         let [i, j, k] = *corners;
         if i == j || j == k || k == i || cross == [0.0; 3] {
-            sums.degenerate += 1;
+            self.degenerate += 1;
         }
     }
-    sums
 }
 
 #[cfg(test)]

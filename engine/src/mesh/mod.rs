@@ -1,6 +1,8 @@
 //! Triangle meshes: the mesh in memory, sinks that take one while it is made, and its examination.
 
+mod around;
 mod boxes;
+mod buckets;
 mod check;
 mod components;
 mod crossings;
@@ -14,6 +16,7 @@ mod shapes;
 mod sink;
 mod slots;
 mod spool;
+mod stored;
 #[cfg(test)]
 mod test_meshes;
 
@@ -25,3 +28,4 @@ pub use indexed::Mesh;
 pub use shapes::{PERCENTILES, SLIVER_DEG, Shapes, Spread, shapes};
 pub use sink::{Collect, Count, EdgeKey, LabelSink, Layout, MeshSink, Piece, Totals};
 pub use spool::{LabelSpool, Spool};
+pub use stored::{Examined, MeshSource, examine};
