@@ -39,7 +39,7 @@ pub use export::{Export, Exported, export_volume};
 pub use loaded::Loaded;
 pub use mesh_file::{
     create_colored_mesh_sink, create_labelled_mesh_sink, create_mesh_sink, mesh_capacity,
-    read_mesh, scratch_file,
+    mesh_in_place, read_mesh, scratch_file,
 };
 pub use raw::RawLayout;
 pub use volume::{

@@ -4,9 +4,9 @@ use crate::aside;
 use crate::loaded::{Input, Loaded};
 use crate::mesh_stream::{Encode, Stream};
 use crate::{obj::Obj, obj_read::read_obj};
-use crate::{ply::Ply, ply_read::read_ply};
+use crate::{ply::Ply, ply_read::ply_in_place, ply_read::read_ply};
 use crate::{stl::Stl, stl_read::read_stl};
-use brickmarch::mesh::{MeshSink, Totals};
+use brickmarch::mesh::{MeshSink, MeshSource, Totals};
 use brickmarch::{Budget, Error, ErrorKind, Result};
 use std::fs::File;
 use std::path::Path;
@@ -120,6 +120,18 @@ pub fn mesh_capacity(path: &Path) -> Result<Totals> {
         Format::Stl => Stl.capacity(),
         Format::Obj => Obj::default().capacity(),
     })
+}
+
+/// The mesh file `path` to be read in parts where it is, whatever its size; nothing when its format
+/// or layout does not allow that. Binary PLY with triangles does, as this program writes it.
+///
+/// # Errors
+/// When the file cannot be read or its header breaks a rule.
+pub fn mesh_in_place(path: &Path, budget: &Budget) -> Result<Option<Box<dyn MeshSource>>> {
+    match Format::of(path)? {
+        Format::Ply => ply_in_place(Input::open(path, budget)?),
+        Format::Stl | Format::Obj => Ok(None),
+    }
 }
 
 /// Reads the mesh file `path`: PLY, STL or OBJ by its extension.

@@ -4,9 +4,10 @@
 //! positions and triangles only, is decoded here in blocks; every other layout goes element by
 //! element, binary ones through the crate, so that no second copy of the mesh exists.
 
+use crate::aside::read_exact_at;
 use crate::lines::next_line;
 use crate::loaded::{Input, Loaded, push};
-use brickmarch::mesh::EdgeKey;
+use brickmarch::mesh::{EdgeKey, MeshSource};
 use brickmarch::{ErrorKind, Mesh, Permit, Result};
 use ply_rs_bw::parser::{ParseError, Parser, Reader};
 use ply_rs_bw::ply::{
@@ -189,11 +190,11 @@ fn lost_vertex(input: &Input, face: u64, vertex: i64, count: usize) -> brickmarc
 
 // ---- the common layout
 
-/// Bytes of a triangle in the common layout.
+/// Bytes of a triangle in the common layout, before what else a face may have.
 const TRIANGLE_BYTES: usize = 13;
 
 /// Vertices first and then faces, all scalars of the vertices that are kept in their usual type,
-/// one list a face.
+/// one list a face and scalars behind it.
 fn is_plain(plan: &Plan) -> bool {
     let header = &plan.header;
     let [Some(first), Some(second)] = [0, 1].map(|i| header.elements.get_index(i)) else {
@@ -211,16 +212,18 @@ fn is_plain(plan: &Plan) -> bool {
         }
     };
     let triangles = |face: &ElementDef| {
-        face.properties.len() == 1
-            && face.properties.values().all(|p| {
-                matches!(
-                    &p.data_type,
-                    PropertyType::List(
-                        ScalarType::UChar | ScalarType::Char,
-                        ScalarType::Int | ScalarType::UInt
-                    )
+        let mut properties = face.properties.values();
+        let list = |p: &ply_rs_bw::ply::PropertyDef| {
+            matches!(
+                &p.data_type,
+                PropertyType::List(
+                    ScalarType::UChar | ScalarType::Char,
+                    ScalarType::Int | ScalarType::UInt
                 )
-            })
+            )
+        };
+        properties.next().is_some_and(list)
+            && properties.all(|p| matches!(p.data_type, PropertyType::Scalar(_)))
     };
     header.encoding == Encoding::BinaryLittleEndian
         && first.0 == "vertex"
@@ -261,22 +264,130 @@ fn word(record: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(bytes)
 }
 
+/// Where the records of the common layout are.
+struct Records {
+    /// Offsets of the scalars of [`NAMES`] in a vertex.
+    offsets: [usize; NAMES.len()],
+    vertex_bytes: usize,
+    face_bytes: usize,
+    /// Where the faces start.
+    faces: u64,
+}
+
+impl Records {
+    /// `None` when there are not enough bytes for triangles.
+    fn of(plan: &Plan, length: u64) -> Option<Self> {
+        let mut offsets = [0; NAMES.len()];
+        let mut vertex_bytes = 0;
+        for (name, property) in &plan.header.elements["vertex"].properties {
+            if let Some(i) = NAMES.iter().position(|n| n == name) {
+                offsets[i] = vertex_bytes;
+            }
+            if let PropertyType::Scalar(scalar) = &property.data_type {
+                vertex_bytes += size(scalar) as usize;
+            }
+        }
+        let more = plan.header.elements["face"].properties.values().skip(1);
+        let more = more.map(|p| match &p.data_type {
+            PropertyType::Scalar(scalar) => size(scalar) as usize,
+            PropertyType::List(..) => 0,
+        });
+        let face_bytes = TRIANGLE_BYTES + more.sum::<usize>();
+        // The counts were checked: their product with a byte each is in the file.
+        let faces = plan.start + plan.vertices as u64 * vertex_bytes as u64;
+        let end = u128::from(faces) + u128::from(plan.faces) * face_bytes as u128;
+        (end <= u128::from(length)).then_some(Self {
+            offsets,
+            vertex_bytes,
+            face_bytes,
+            faces,
+        })
+    }
+}
+
+/// A PLY file of the common layout, read where it is.
+struct InPlace {
+    file: std::fs::File,
+    path: std::path::PathBuf,
+    start: u64,
+    vertices: u64,
+    triangles: u64,
+    records: Records,
+}
+
+/// The mesh as it is in the file, or nothing when its layout is another than the common one.
+pub(crate) fn ply_in_place(mut input: Input) -> Result<Option<Box<dyn MeshSource>>> {
+    let plan = plan(&mut input)?;
+    if !is_plain(&plan) {
+        return Ok(None);
+    }
+    let Some(records) = Records::of(&plan, input.length) else {
+        return Ok(None);
+    };
+    Ok(Some(Box::new(InPlace {
+        path: input.path.to_path_buf(),
+        file: input.file,
+        start: plan.start,
+        vertices: plan.vertices as u64,
+        triangles: plan.faces,
+        records,
+    })))
+}
+
+impl InPlace {
+    fn read(&self, at: u64, bytes: usize) -> Result<Vec<u8>> {
+        let mut buffer = vec![0; bytes];
+        read_exact_at(&self.file, &mut buffer, at)
+            .map_err(|e| brickmarch::Error::io(&self.path, "reading", e))?;
+        Ok(buffer)
+    }
+}
+
+impl MeshSource for InPlace {
+    fn vertices(&self) -> u64 {
+        self.vertices
+    }
+
+    fn triangles(&self) -> u64 {
+        self.triangles
+    }
+
+    fn read_positions(&self, first: u64, out: &mut [[f32; 3]]) -> Result<()> {
+        let size = self.records.vertex_bytes;
+        let bytes = self.read(self.start + first * size as u64, out.len() * size)?;
+        for (out, record) in out.iter_mut().zip(bytes.chunks_exact(size)) {
+            *out = [0, 1, 2].map(|i| float(record, self.records.offsets[i]));
+        }
+        Ok(())
+    }
+
+    fn read_triangles(&self, first: u64, out: &mut [[u32; 3]]) -> Result<()> {
+        let size = self.records.face_bytes;
+        let bytes = self.read(self.records.faces + first * size as u64, out.len() * size)?;
+        for (n, (out, record)) in (first..).zip(out.iter_mut().zip(bytes.chunks_exact(size))) {
+            if record[0] != 3 {
+                return Err(brickmarch::Error::new(
+                    ErrorKind::Unsupported,
+                    format!(
+                        "{}: face {n} has {} corners; a file that is larger than the memory is checked only where \
+                         all are triangles: give more with --mem",
+                        self.path.display(),
+                        record[0]
+                    ),
+                ));
+            }
+            *out = [1, 5, 9].map(|at| word(record, at));
+        }
+        Ok(())
+    }
+}
+
 /// Reads the common layout; `false` when there is a face with more than three corners.
 fn read_plain(input: &mut Input, plan: &Plan, mesh: &mut Mesh) -> Result<bool> {
-    let mut offsets = [0; NAMES.len()];
-    let mut stride = 0;
-    for (name, property) in &plan.header.elements["vertex"].properties {
-        if let Some(i) = NAMES.iter().position(|n| n == name) {
-            offsets[i] = stride;
-        }
-        if let PropertyType::Scalar(scalar) = &property.data_type {
-            stride += size(scalar) as usize;
-        }
-    }
-    let needed = plan.faces * TRIANGLE_BYTES as u64 + plan.vertices as u64 * stride as u64;
-    if plan.start + needed > input.length {
+    let Some(records) = Records::of(plan, input.length) else {
         return Ok(false);
-    }
+    };
+    let (offsets, stride) = (records.offsets, records.vertex_bytes);
     input
         .file
         .seek(SeekFrom::Start(plan.start))
@@ -307,10 +418,10 @@ fn read_plain(input: &mut Input, plan: &Plan, mesh: &mut Mesh) -> Result<bool> {
     in_blocks(
         input,
         plan.faces,
-        TRIANGLE_BYTES,
+        records.face_bytes,
         &mut buffer,
         |first, block| {
-            for (face, record) in (first..).zip(block.chunks_exact(TRIANGLE_BYTES)) {
+            for (face, record) in (first..).zip(block.chunks_exact(records.face_bytes)) {
                 if record[0] != 3 {
                     return Ok(false);
                 }

@@ -431,9 +431,15 @@ pub(crate) struct Check {
     /// A border is no fault
     #[arg(long)]
     pub open_ok: bool,
-    /// Memory for the mesh, which is read whole
+    /// Look for triangles that go through each other: all, none, or among about this many
+    #[arg(long, value_name = "HOW", default_value = "4000000", value_parser = parse::crossings)]
+    pub crossings: u64,
+    /// Memory for the mesh, which is read whole where it fits; otherwise binary PLY is checked in parts
     #[arg(long, value_name = "SIZE", default_value = "4GiB", value_parser = parse::size)]
     pub mem: u64,
+    /// Folder for scratch files, where a mesh is checked in parts [default: that of the mesh]
+    #[arg(long, value_name = "DIR")]
+    pub scratch: Option<PathBuf>,
     #[command(flatten)]
     pub say: Say,
 }

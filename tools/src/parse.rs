@@ -39,6 +39,21 @@ pub(crate) fn size(text: &str) -> Result<u64, String> {
     if bytes == 0 { Err(bad()) } else { Ok(bytes) }
 }
 
+/// `all` as the largest number, `none` as 0, or a number of triangles.
+///
+/// # Errors
+/// Says how it is written.
+pub(crate) fn crossings(text: &str) -> Result<u64, String> {
+    match (text, text.parse()) {
+        ("all", _) => Ok(u64::MAX),
+        ("none", _) => Ok(0),
+        (_, Ok(n)) => Ok(n),
+        _ => Err(format!(
+            "'{text}': write all, none, or a number of triangles"
+        )),
+    }
+}
+
 /// `largest` as 1, or a number from 1.
 ///
 /// # Errors

@@ -18,13 +18,13 @@ pub(super) const NOTHING: Bounds = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
 /// Bytes a triangle while the tree is made and used.
 pub(super) const TREE_BYTES: u64 = 16 + 4 + 24 / GROUP as u64 * 4 / 3 + 1;
 
+#[inline]
 pub(super) fn bounds_of(corners: &[[f32; 3]; 3]) -> Bounds {
+    let [a, b, c] = corners;
     let mut bounds = NOTHING;
-    for p in corners {
-        for a in 0..3 {
-            bounds[0][a] = bounds[0][a].min(p[a]);
-            bounds[1][a] = bounds[1][a].max(p[a]);
-        }
+    for i in 0..3 {
+        bounds[0][i] = a[i].min(b[i]).min(c[i]);
+        bounds[1][i] = a[i].max(b[i]).max(c[i]);
     }
     bounds
 }
@@ -40,7 +40,12 @@ pub(super) fn union(a: Bounds, b: Bounds) -> Bounds {
 
 #[inline]
 pub(super) fn touch(a: &Bounds, b: &Bounds) -> bool {
-    (0..3).all(|i| a[0][i] <= b[1][i] && b[0][i] <= a[1][i])
+    // Without branches.
+    let mut apart = false;
+    for i in 0..3 {
+        apart |= a[0][i] > b[1][i] || b[0][i] > a[1][i];
+    }
+    !apart
 }
 
 /// The tree over a list of triangles.

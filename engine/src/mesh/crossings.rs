@@ -38,7 +38,11 @@ pub fn crossings(mesh: &Mesh, most: u64, budget: &Budget) -> Result<Crossings> {
     super::check::refuse_lost(mesh)?;
     let count = mesh.triangles.len() as u64;
     let _permit = budget.take(TREE_BYTES * count, "looking for crossings")?;
-    let corners = |n: u32| mesh.triangles[n as usize].map(|v| mesh.positions[v as usize]);
+    let corners = |n: u32| {
+        let [a, b, c] = mesh.triangles[n as usize];
+        let at = |v: u32| mesh.positions[v as usize];
+        [at(a), at(b), at(c)]
+    };
     let finite = |n: &u32| corners(*n).iter().all(is_finite);
     let all = (0..count as u32).filter(finite);
     let whole = measure::bounds(mesh).unwrap_or(NOTHING);
@@ -192,14 +196,16 @@ fn pairs(
             if !touch(&bounds, other) {
                 continue;
             }
-            let begin = [0, 1, 2].map(|a| bounds[0][a].max(other[0][a]));
-            if !counts(begin) {
+            let meeting = meet(&s, t);
+            if meeting == Meeting::Apart {
                 continue;
             }
-            match meet(&s, t) {
-                Meeting::Apart => {}
-                Meeting::Crossing => found.crossing_pairs += 1,
-                Meeting::Overlapping => found.overlapping_pairs += 1,
+            let begin = [0, 1, 2].map(|a| bounds[0][a].max(other[0][a]));
+            if counts(begin) {
+                match meeting {
+                    Meeting::Overlapping => found.overlapping_pairs += 1,
+                    _ => found.crossing_pairs += 1,
+                }
             }
         }
     }

@@ -35,10 +35,49 @@ fn sign(v: f64) -> i32 {
     i32::from(v > 0.0) - i32::from(v < 0.0)
 }
 
+#[inline]
+fn same(p: Point, q: Point) -> bool {
+    p[0] == q[0] && p[1] == q[1] && p[2] == q[2]
+}
+
+/// On which side of the plane of `t` each corner of `s` is. A product in double precision decides
+/// nearly always; Shewchuk's bound says when it does.
+#[inline]
+fn sides(t: &[Point; 3], s: &[Point; 3]) -> [i32; 3] {
+    const BOUND: f64 = 1e-15;
+    let from = |p: Point, i: usize| f64::from(p[i]) - f64::from(t[0][i]);
+    let (mut normal, mut size) = ([0.0; 3], [0.0; 3]);
+    for i in 0..3 {
+        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+        let (left, right) = (from(t[1], j) * from(t[2], k), from(t[1], k) * from(t[2], j));
+        normal[i] = left - right;
+        size[i] = left.abs() + right.abs();
+    }
+    let mut sides = [0; 3];
+    for (side_of, &p) in sides.iter_mut().zip(s) {
+        // A corner in common is in the plane.
+        if same(p, t[0]) || same(p, t[1]) || same(p, t[2]) {
+            continue;
+        }
+        let (mut height, mut most) = (0.0, 0.0);
+        for i in 0..3 {
+            let up = from(p, i);
+            height += normal[i] * up;
+            most += size[i] * up.abs();
+        }
+        *side_of = if height.abs() > BOUND * most {
+            -sign(height)
+        } else {
+            side(t, p)
+        };
+    }
+    sides
+}
+
 /// How `s` and `t` meet. Triangles without an area meet nothing; corners are finite.
+#[inline]
 pub(super) fn meet(s: &[Point; 3], t: &[Point; 3]) -> Meeting {
-    // A corner in common is in the other's plane.
-    let of_s = s.map(|p| if t.contains(&p) { 0 } else { side(t, p) });
+    let of_s = sides(t, s);
     if of_s == [0; 3] {
         return match overlap(s, t) {
             true => Meeting::Overlapping,
@@ -48,10 +87,15 @@ pub(super) fn meet(s: &[Point; 3], t: &[Point; 3]) -> Meeting {
     if !on_both_sides(of_s) {
         return Meeting::Apart;
     }
-    let of_t = t.map(|p| if s.contains(&p) { 0 } else { side(s, p) });
+    let of_t = sides(s, t);
     if !on_both_sides(of_t) {
         return Meeting::Apart;
     }
+    cross(s, t, of_s, of_t)
+}
+
+/// How triangles meet that have corners on both sides of each other's plane.
+fn cross(s: &[Point; 3], t: &[Point; 3], of_s: [i32; 3], of_t: [i32; 3]) -> Meeting {
     let (mut s, s_above) = alone_first(s, of_s);
     let (mut t, t_above) = alone_first(t, of_t);
     // Turned so that each first corner is above the plane of the other triangle.
@@ -68,6 +112,7 @@ pub(super) fn meet(s: &[Point; 3], t: &[Point; 3]) -> Meeting {
     }
 }
 
+#[inline]
 fn on_both_sides(signs: [i32; 3]) -> bool {
     signs.contains(&1) && signs.contains(&-1)
 }

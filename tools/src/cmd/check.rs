@@ -4,25 +4,41 @@ use super::{named, thousands};
 use crate::Outcome;
 use crate::args::Check;
 use crate::job::Job;
-use brickmarch::Budget;
-use brickmarch::mesh::{Report, check};
+use brickmarch::mesh::{
+    Examined, PERCENTILES, Report, SLIVER_DEG, Shapes, Spread, check, crossings, examine, shapes,
+};
+use brickmarch::{Budget, ErrorKind, Result};
+use brickmarch_formats as formats;
 use serde_json::{Value, json};
 use std::fmt::Write;
 
 pub(crate) fn run(args: &Check) -> anyhow::Result<Outcome> {
     let job = Job::with_budget(Budget::bytes(args.mem), &args.say);
-    let report = {
+    let (found, in_parts) = {
         let _watch = job.watch("checking");
-        let mesh = brickmarch_formats::read_mesh(&args.mesh, &job.budget)?;
-        check(&mesh, &job.budget).map_err(named(&[&args.mesh]))?
+        look(args, &job.budget).map_err(named(&[&args.mesh]))?
     };
-    let sound = is_sound(&report, args.open_ok);
+    let report = &found.report;
+    let sound = is_sound(report, args.open_ok);
     let mut json = json!({
         "schema": 1, "command": "check", "mesh": args.mesh, "sound": sound,
         "seconds": job.seconds(), "peak_rss_bytes": crate::system::peak_resident_bytes(),
     });
-    json["report"] = figures(&report);
-    let text = format!("{}\n{}", args.mesh.display(), describe(&report));
+    json["in_parts"] = json!(in_parts);
+    json["report"] = figures(report);
+    json["shapes"] = shapes_json(&found.shapes);
+    json["crossings"] = found.crossings.map_or(Value::Null, |c| {
+        json!({
+            "crossing_pairs": c.crossing_pairs, "overlapping_pairs": c.overlapping_pairs,
+            "checked_triangles": c.checked_triangles,
+        })
+    });
+    let text = format!(
+        "{}\n{}{}",
+        args.mesh.display(),
+        describe(report),
+        describe_triangles(&found)
+    );
     job.result(&text, &json)?;
     if sound {
         return Ok(Outcome::Done);
@@ -30,9 +46,47 @@ pub(crate) fn run(args: &Check) -> anyhow::Result<Outcome> {
     job.note(&format!(
         "{}: {}",
         args.mesh.display(),
-        faults(&report, args.open_ok)
+        faults(report, args.open_ok)
     ));
     Ok(Outcome::NotWhatWasAsked)
+}
+
+/// Everything about the mesh, and whether it was read in parts because it does not fit.
+fn look(args: &Check, budget: &Budget) -> Result<(Examined, bool)> {
+    let whole = || -> Result<Examined> {
+        let mesh = formats::read_mesh(&args.mesh, budget)?;
+        let report = check(&mesh, budget)?;
+        let shapes = shapes(&mesh, budget)?;
+        let crossings = match args.crossings {
+            0 => None,
+            most => Some(crossings(&mesh, most, budget)?),
+        };
+        Ok(Examined {
+            report,
+            shapes,
+            crossings,
+        })
+    };
+    let refused = match whole() {
+        Ok(found) => return Ok((found, false)),
+        Err(e) if e.kind() == ErrorKind::BudgetExceeded => e,
+        Err(e) => return Err(e),
+    };
+    let Some(source) = formats::mesh_in_place(&args.mesh, budget)? else {
+        return Err(refused);
+    };
+    let beside = match &args.scratch {
+        Some(folder) => folder.join("scratch"),
+        None => args.mesh.clone(),
+    };
+    let file = || {
+        formats::scratch_file(&beside).map_err(|e| {
+            e.context("a mesh that does not fit is checked with scratch files (--scratch DIR)")
+        })
+    };
+    let scratch = [file()?, file()?, file()?];
+    let found = examine(source.as_ref(), args.crossings, scratch, budget)?;
+    Ok((found, true))
 }
 
 /// Closed (unless a border is allowed), 2-manifold, oriented, finite. Triangles without area are
@@ -107,6 +161,62 @@ fn describe(report: &Report) -> String {
         }
     }
     text
+}
+
+/// Angles, ratios and crossings for people.
+fn describe_triangles(found: &Examined) -> String {
+    let mut text = String::new();
+    let mut line = |name: &str, value: String| {
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "  {name:<12} {value}");
+    };
+    let spread = |s: &Spread, digits: usize| {
+        let each = PERCENTILES.iter().zip(s.percentiles);
+        let each: Vec<String> = each.map(|(p, v)| format!("{v:.digits$} ({p} %)")).collect();
+        format!("{:.digits$} least, {}", s.least, each.join(", "))
+    };
+    let shapes = &found.shapes;
+    if shapes.measured > 0 {
+        line("min angle", spread(&shapes.min_angle_deg, 2));
+        line("radius ratio", spread(&shapes.radius_ratio, 3));
+        let part = 100.0 * shapes.slivers as f64 / shapes.measured as f64;
+        let slivers = thousands(shapes.slivers);
+        line(
+            "slivers",
+            format!("{slivers} ({part:.2} %) below {SLIVER_DEG} degrees"),
+        );
+    }
+    if let Some(c) = found.crossings {
+        let among = match c.checked_triangles == shapes.measured {
+            true => String::new(),
+            false => format!(
+                " at {} of {} triangles (--crossings all for all)",
+                thousands(c.checked_triangles),
+                thousands(shapes.measured)
+            ),
+        };
+        let pairs = format!(
+            "{} crossing and {} overlapping pairs{among}",
+            thousands(c.crossing_pairs),
+            thousands(c.overlapping_pairs)
+        );
+        line("crossings", pairs);
+    }
+    text
+}
+
+fn shapes_json(shapes: &Shapes) -> Value {
+    let spread = |s: &Spread| {
+        let mut json = json!({ "least": s.least });
+        for (p, value) in PERCENTILES.iter().zip(s.percentiles) {
+            json[format!("p{p}")] = json!(value);
+        }
+        json
+    };
+    json!({
+        "min_angle_deg": spread(&shapes.min_angle_deg), "radius_ratio": spread(&shapes.radius_ratio),
+        "slivers": shapes.slivers, "sliver_deg": SLIVER_DEG, "measured": shapes.measured,
+    })
 }
 
 /// The report for programs.
