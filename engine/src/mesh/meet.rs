@@ -65,13 +65,25 @@ fn sides(t: &[Point; 3], s: &[Point; 3]) -> [i32; 3] {
             height += normal[i] * up;
             most += size[i] * up.abs();
         }
-        *side_of = if height.abs() > BOUND * most {
+        *side_of = if height.abs() > BOUND * most || is_exact(t, p) {
             -sign(height)
         } else {
             side(t, p)
         };
     }
     sides
+}
+
+/// Whether nothing is rounded in the volume over these points, as on the lattices of masks: all
+/// differences are whole multiples of 2^-10 with 16 bits, so sums of three products have 50.
+#[cold]
+fn is_exact(t: &[Point; 3], p: Point) -> bool {
+    [t[1], t[2], p].iter().all(|q| {
+        (0..3).all(|i| {
+            let steps = (f64::from(q[i]) - f64::from(t[0][i])) * 1024.0;
+            steps.abs() < 65536.0 && steps == steps.trunc()
+        })
+    })
 }
 
 /// How `s` and `t` meet. Triangles without an area meet nothing; corners are finite.
