@@ -554,3 +554,77 @@ fn meshes_from_elsewhere_give_the_known_counts() {
         assert_eq!(found, expected, "{name}");
     }
 }
+
+/// A file in place gives what a file in memory gives, whatever else its records hold.
+#[test]
+fn in_place_is_as_in_memory() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("x.ply");
+    let budget = brickmarch::Budget::mib(64);
+    // Vertices with a double in front and positions in another order; faces with a label behind.
+    let mut bytes = b"ply\nformat binary_little_endian 1.0\nelement vertex 70000\nproperty double t\n\
+        property float z\nproperty float x\nproperty float y\nelement face 70001\n\
+        property list uchar uint vertex_indices\nproperty uint label\nproperty uchar more\nend_header\n"
+        .to_vec();
+    for i in 0..70_000_u32 {
+        bytes.extend(1.5_f64.to_le_bytes());
+        for v in [i as f32, 0.5, -(i as f32)] {
+            bytes.extend(v.to_le_bytes());
+        }
+    }
+    for i in 0..70_001_u32 {
+        bytes.push(3);
+        for v in [i, i + 7, i * 31] {
+            bytes.extend((v % 70_000).to_le_bytes());
+        }
+        bytes.extend(i.to_le_bytes());
+        bytes.push(9);
+    }
+    std::fs::write(&path, &bytes).expect("written");
+    let whole = crate::read_mesh(&path, &budget).expect("read");
+    let parts = crate::mesh_in_place(&path, &budget)
+        .expect("read")
+        .expect("the usual layout");
+    assert_eq!((parts.vertices(), parts.triangles()), (70_000, 70_001));
+    for (first, count) in [(0, 70_000), (69_999, 1), (123, 40_000), (5, 0)] {
+        let mut positions = vec![[0.0; 3]; count];
+        parts.read_positions(first, &mut positions).expect("read");
+        assert_eq!(positions, whole.positions[first as usize..][..count]);
+        let mut triangles = vec![[0; 3]; count];
+        parts.read_triangles(first, &mut triangles).expect("read");
+        assert_eq!(triangles, whole.triangles[first as usize..][..count]);
+    }
+    // A face of four corners is said when it is met.
+    let record = 13 + 5;
+    let at = bytes.len() - 10 * record;
+    bytes[at] = 4;
+    std::fs::write(&path, &bytes).expect("written");
+    let parts = crate::mesh_in_place(&path, &budget)
+        .expect("read")
+        .expect("the usual layout");
+    let error = parts
+        .read_triangles(69_000, &mut vec![[0; 3]; 1001])
+        .expect_err("a square");
+    assert!(
+        error.to_string().contains("face 69991 has 4 corners"),
+        "{error}"
+    );
+    // What is shorter than it promises, and other layouts, are left to the reader of whole files.
+    std::fs::write(&path, &bytes[..bytes.len() - 1]).expect("written");
+    assert!(
+        crate::mesh_in_place(&path, &budget)
+            .expect("a header")
+            .is_none()
+    );
+    std::fs::write(
+        &path,
+        "ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\n\
+        property float z\nelement face 0\nproperty list uchar int vertex_indices\nend_header\n",
+    )
+    .expect("written");
+    assert!(
+        crate::mesh_in_place(&path, &budget)
+            .expect("a header")
+            .is_none()
+    );
+}

@@ -335,11 +335,26 @@ pub(crate) fn ply_in_place(mut input: Input) -> Result<Option<Box<dyn MeshSource
 }
 
 impl InPlace {
-    fn read(&self, at: u64, bytes: usize) -> Result<Vec<u8>> {
-        let mut buffer = vec![0; bytes];
-        read_exact_at(&self.file, &mut buffer, at)
-            .map_err(|e| brickmarch::Error::io(&self.path, "reading", e))?;
-        Ok(buffer)
+    /// Calls `each` with the number, from 0, and the bytes of each of `count` records of `size`
+    /// bytes, which start at `at`; a block of them is in memory.
+    fn each(
+        &self,
+        at: u64,
+        count: usize,
+        size: usize,
+        mut each: impl FnMut(usize, &[u8]) -> Result<()>,
+    ) -> Result<()> {
+        let records = (BLOCK_BYTES / size).max(1);
+        let mut buffer = vec![0; records.min(count) * size];
+        for first in (0..count).step_by(records) {
+            let block = &mut buffer[..records.min(count - first) * size];
+            read_exact_at(&self.file, block, at + (first * size) as u64)
+                .map_err(|e| brickmarch::Error::io(&self.path, "reading", e))?;
+            for (n, record) in (first..).zip(block.chunks_exact(size)) {
+                each(n, record)?;
+            }
+        }
+        Ok(())
     }
 }
 
@@ -354,31 +369,32 @@ impl MeshSource for InPlace {
 
     fn read_positions(&self, first: u64, out: &mut [[f32; 3]]) -> Result<()> {
         let size = self.records.vertex_bytes;
-        let bytes = self.read(self.start + first * size as u64, out.len() * size)?;
-        for (out, record) in out.iter_mut().zip(bytes.chunks_exact(size)) {
-            *out = [0, 1, 2].map(|i| float(record, self.records.offsets[i]));
-        }
-        Ok(())
+        let at = self.start + first * size as u64;
+        self.each(at, out.len(), size, |n, record| {
+            out[n] = [0, 1, 2].map(|i| float(record, self.records.offsets[i]));
+            Ok(())
+        })
     }
 
     fn read_triangles(&self, first: u64, out: &mut [[u32; 3]]) -> Result<()> {
         let size = self.records.face_bytes;
-        let bytes = self.read(self.records.faces + first * size as u64, out.len() * size)?;
-        for (n, (out, record)) in (first..).zip(out.iter_mut().zip(bytes.chunks_exact(size))) {
+        let at = self.records.faces + first * size as u64;
+        self.each(at, out.len(), size, |n, record| {
             if record[0] != 3 {
                 return Err(brickmarch::Error::new(
                     ErrorKind::Unsupported,
                     format!(
-                        "{}: face {n} has {} corners; a file that is larger than the memory is checked only where \
+                        "{}: face {} has {} corners; a file that is larger than the memory is checked only where \
                          all are triangles: give more with --mem",
                         self.path.display(),
+                        first + n as u64,
                         record[0]
                     ),
                 ));
             }
-            *out = [1, 5, 9].map(|at| word(record, at));
-        }
-        Ok(())
+            out[n] = [1, 5, 9].map(|at| word(record, at));
+            Ok(())
+        })
     }
 }
 

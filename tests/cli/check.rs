@@ -101,7 +101,7 @@ fn a_mesh_beyond_the_memory_gets_the_same_answers() {
         for j in 0..80u32 {
             for i in 0..90u32 {
                 // Bumps and noise: many parts, handles and holes at the border.
-                let noise = (i * 73 + j * 151 + k * 283) * 2_654_435_761 >> 24;
+                let noise = (i * 73 + j * 151 + k * 283).wrapping_mul(2_654_435_761) >> 24;
                 raw.push((noise / 4 + (i * j / 9 + k * 7) % 97) as u8);
             }
         }
