@@ -16,7 +16,7 @@ use brickmarch::budget::human_bytes;
 use brickmarch::field::Labels;
 use brickmarch::iso::{Boundary, ExtractLabels, LabelStats, extract_labels, label_blocks};
 use brickmarch::mesh::{Components, LabelSpool, Layout, MeshSink, Piece, Totals};
-use brickmarch::{Error, ErrorKind, Result};
+use brickmarch::{Box3, Error, ErrorKind, Result};
 use brickmarch_formats as formats;
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
@@ -280,8 +280,9 @@ impl Made<'_> {
         let drawn: Vec<u32> = self.stats.labels.iter().map(|&(label, _)| label).collect();
         let back = source.grid().index_to_world.inverse()?;
         let shot = &self.args.shot;
+        let reach = i32::from(self.args.label_smooth);
         let colours = |points: &[[f32; 3]]| -> Vec<[u8; 3]> {
-            let at = |p: &[f32; 3]| nearest(source, &drawn, back.apply(p.map(f64::from)));
+            let at = |p: &[f32; 3]| nearest(source, &drawn, back.apply(p.map(f64::from)), reach);
             points
                 .iter()
                 .map(|p| at(p).map_or(shot.colour, colourmap::label))
@@ -292,26 +293,30 @@ impl Made<'_> {
     }
 }
 
-/// The drawn segment of the samples around a point, the nearest first.
-fn nearest(source: &dyn Labels, drawn: &[u32], at: [f64; 3]) -> Option<u32> {
+/// The drawn segment of the sample nearest to a point, of those at most `reach` cells away: a surface
+/// that was smoothed has moved away from its samples.
+fn nearest(source: &dyn Labels, drawn: &[u32], at: [f64; 3], reach: i32) -> Option<u32> {
     let domain = source.grid().domain;
     let low = at.map(|v| v.floor() as i32);
-    let cell = brickmarch::Box3::new(low, low.map(|v| v.saturating_add(2))).intersect(&domain);
-    let mut labels = [0; 8];
-    let count = cell.count() as usize;
-    // A place that cannot be read keeps the plain colour.
-    source.read(cell, labels.get_mut(..count)?).ok()?;
-    let [nx, ny, _] = cell.size().map(|n| n as usize);
-    let far = |n: &usize| -> f64 {
-        let local = [n % nx, n / nx % ny, n / nx / ny];
-        (0..3)
-            .map(|a| (f64::from(cell.min[a]) + local[a] as f64 - at[a]).powi(2))
-            .sum()
-    };
-    (0..count)
-        .filter(|&n| drawn.binary_search(&labels[n]).is_ok())
-        .min_by(|a, b| far(a).total_cmp(&far(b)))
-        .map(|n| labels[n])
+    let cell = Box3::new(low, low.map(|v| v.saturating_add(2)));
+    let mut labels = Vec::new();
+    (0..=reach).find_map(|more| {
+        let around = cell.grow(more, more).intersect(&domain);
+        labels.resize(around.count() as usize, 0);
+        // A place that cannot be read keeps the plain colour.
+        source.read(around, &mut labels).ok()?;
+        let [nx, ny, _] = around.size().map(|n| n as usize);
+        let far = |n: &usize| -> f64 {
+            let local = [n % nx, n / nx % ny, n / nx / ny];
+            (0..3)
+                .map(|a| (f64::from(around.min[a]) + local[a] as f64 - at[a]).powi(2))
+                .sum()
+        };
+        (0..labels.len())
+            .filter(|&n| drawn.binary_search(&labels[n]).is_ok())
+            .min_by(|a, b| far(a).total_cmp(&far(b)))
+            .map(|n| labels[n])
+    })
 }
 
 /// The mesh of a segment behind those of others in one file.
