@@ -40,6 +40,8 @@ pub(crate) enum Command {
     Compact(Compact),
     /// Extract the isosurface of a volume as a closed triangle mesh (.ply, .stl, .obj)
     Mesh(Mesh),
+    /// Join the parts of a mesh (`mesh --part`) into what one run would have made, byte for byte
+    Join(Join),
     /// Turn a scene of shapes, formulas and booleans into a volume or a mesh, at any resolution
     Model(Model),
     /// Check a mesh: closed, 2-manifold, oriented, components, genus, area, volume
@@ -314,6 +316,9 @@ pub(crate) struct Mesh {
     /// Only components of at least this many triangles
     #[arg(long, value_name = "K", conflicts_with = "component")]
     pub min_triangles: Option<u64>,
+    /// Make one part of the mesh, as 3/7, into OUT (.part); `join` makes the mesh of all of them
+    #[arg(long, value_name = "I/N", value_parser = parse::part, conflicts_with_all = ["seed", "measure", "picture", "dry_run", "component", "min_triangles", "labels"])]
+    pub part: Option<[u32; 2]>,
     /// Measure the surface while it is made: area, volume, and whether it is closed
     #[arg(long)]
     pub measure: bool,
@@ -334,6 +339,22 @@ pub(crate) struct Mesh {
     pub dry_run: bool,
     #[command(flatten)]
     pub shot: Shot,
+    #[command(flatten)]
+    pub overwrite: Overwrite,
+    #[command(flatten)]
+    pub run: Run,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Join {
+    /// Mesh to write: .ply, .stl or .obj
+    pub out: PathBuf,
+    /// The parts, in any order
+    #[arg(required = true)]
+    pub parts: Vec<PathBuf>,
+    /// Write a mesh without triangles when nothing crosses the isovalue, instead of failing
+    #[arg(long)]
+    pub allow_empty: bool,
     #[command(flatten)]
     pub overwrite: Overwrite,
     #[command(flatten)]

@@ -39,6 +39,7 @@ fn main() -> ExitCode {
         Command::Compact(args) => cmd::compact::run(args),
         Command::Info(args) => cmd::info::run(args),
         Command::Mesh(args) => cmd::mesh::run(args),
+        Command::Join(args) => cmd::join::run(args),
         Command::Model(args) => cmd::model::run(args),
         Command::Check(args) => cmd::check::run(args),
         Command::Slice(args) => cmd::slice::run(args),

@@ -239,6 +239,21 @@ pub(crate) fn colour(text: &str) -> Result<[u8; 3], String> {
     Ok([(value >> 16) as u8, (value >> 8) as u8, value as u8])
 }
 
+/// A part and the count of parts: `3/7`.
+pub(crate) fn part(text: &str) -> Result<[u32; 2], String> {
+    let bad = || format!("'{text}': a part is its number and their count, as 3/7");
+    let (number, of) = text.split_once('/').ok_or_else(bad)?;
+    let number: u32 = number.trim().parse().map_err(|_| bad())?;
+    let of: u32 = of.trim().parse().map_err(|_| bad())?;
+    if (1..=of).contains(&number) && of <= 1 << 20 {
+        Ok([number, of])
+    } else {
+        Err(format!(
+            "'{text}': the number goes from 1 to the count, which is at most 2^20"
+        ))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

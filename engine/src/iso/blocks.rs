@@ -187,11 +187,14 @@ fn straddles(range: Range, capped: bool, iso: f32, inside: Inside) -> bool {
 /// Blocks that the surface may cross, in Morton order, found by descending the octree of blocks
 /// and leaving out every node whose range does not straddle the isovalue.
 pub(super) struct Candidates<'a> {
-    field: &'a dyn Field,
-    blocks: Blocks,
+    pub(super) field: &'a dyn Field,
+    pub(super) blocks: Blocks,
     iso: f32,
     inside: Inside,
     stack: Vec<([i32; 3], u32)>,
+    /// How many are left out, and how many then follow.
+    skip: u64,
+    left: u64,
 }
 
 impl<'a> Candidates<'a> {
@@ -207,11 +210,35 @@ impl<'a> Candidates<'a> {
             iso,
             inside,
             stack,
+            skip: 0,
+            left: u64::MAX,
+        }
+    }
+
+    /// Only those from number `from` to before number `to`.
+    pub(super) fn only(self, from: u64, to: u64) -> Self {
+        Self {
+            skip: from,
+            left: to - from,
+            ..self
         }
     }
 
     /// The next block, or none.
     pub(super) fn next(&mut self) -> Result<Option<[i32; 3]>> {
+        while self.left > 0 {
+            match self.find()? {
+                Some(_) if self.skip > 0 => self.skip -= 1,
+                found => {
+                    self.left -= 1;
+                    return Ok(found);
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn find(&mut self) -> Result<Option<[i32; 3]>> {
         while let Some((at, level)) = self.stack.pop() {
             let size = 1i64 << level;
             let touches = (0..3).all(|a| {

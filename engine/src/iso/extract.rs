@@ -113,27 +113,8 @@ pub(super) fn extract_from(
     budget: &Budget,
     sink: &mut dyn MeshSink,
 ) -> Result<Stats> {
-    if options.iso.is_nan() {
-        return Err(Error::bad_input("the isovalue is not a number"));
-    }
-    let grid = field.grid();
-    let inside = options.inside.unwrap_or(field.kind().inside());
-    let map = if options.index_space {
-        Affine::IDENTITY
-    } else {
-        grid.index_to_world
-    };
-    let blocks = Blocks::new(field, options.region, options.boundary)?;
+    let (blocks, style) = prepare(field, options)?;
     let walking = !options.seeds.is_empty();
-    let style = Style {
-        iso: options.iso,
-        inside,
-        placement: Placement::new(map, grid.domain)?,
-        normals: options.normals,
-        // The walker knows its vertices by key.
-        keys: options.keys || walking,
-        level: Level::detect(),
-    };
     let decoded = field.blocks_decoded();
     sink.begin(Layout {
         normals: options.normals,
@@ -145,13 +126,37 @@ pub(super) fn extract_from(
         sweep(field, blocks, style, first, budget, sink)?
     };
     if totals == first && !options.allow_empty {
-        return Err(empty(field, options, inside)?);
+        return Err(empty(field, options, style.inside)?);
     }
     sink.finish(totals)?;
     stats.vertices = totals.vertices - first.vertices;
     stats.triangles = totals.triangles - first.triangles;
     stats.blocks_decoded = field.blocks_decoded() - decoded;
     Ok(stats)
+}
+
+/// The blocks and the style that the options ask for.
+pub(super) fn prepare(field: &dyn Field, options: &Extract) -> Result<(Blocks, Style)> {
+    if options.iso.is_nan() {
+        return Err(Error::bad_input("the isovalue is not a number"));
+    }
+    let grid = field.grid();
+    let map = if options.index_space {
+        Affine::IDENTITY
+    } else {
+        grid.index_to_world
+    };
+    let blocks = Blocks::new(field, options.region, options.boundary)?;
+    let style = Style {
+        iso: options.iso,
+        inside: options.inside.unwrap_or(field.kind().inside()),
+        placement: Placement::new(map, grid.domain)?,
+        normals: options.normals,
+        // The walker knows its vertices by key.
+        keys: options.keys || !options.seeds.is_empty(),
+        level: Level::detect(),
+    };
+    Ok((blocks, style))
 }
 
 fn empty(field: &dyn Field, options: &Extract, inside: Inside) -> Result<Error> {

@@ -14,6 +14,9 @@ mod interior;
 mod label_mask;
 mod labels;
 mod numbering;
+mod parts;
+#[cfg(test)]
+mod parts_tests;
 mod place;
 mod scan;
 mod sweep;
@@ -26,3 +29,4 @@ mod walker;
 
 pub use extract::{Boundary, Extract, Stats, extract};
 pub use labels::{ExtractLabels, LabelStats, extract_labels, label_blocks};
+pub use parts::{Part, extract_part, join_parts, part_of};

@@ -6,7 +6,6 @@
 //! vertex is ever looked up by place, and what is kept is the faces between done and not done.
 
 use super::block::BlockOutput;
-use super::blocks::Blocks;
 use crate::error::{Error, ErrorKind, Result};
 use crate::mesh::{Piece, Totals};
 use std::collections::HashMap;
@@ -40,11 +39,12 @@ impl Numbering {
         }
     }
 
-    /// Takes over borrowed numbers of `block` and leaves its own for later blocks. Called for the
+    /// Takes over borrowed numbers of the block at `at` and leaves its own for later blocks, of which the
+    /// last ones lie before `end`. Called for the
     /// blocks in their order, after [`start`](Self::start) of their piece.
     pub(super) fn pass(
         &mut self,
-        blocks: &Blocks,
+        end: [i32; 3],
         at: [i32; 3],
         out: &BlockOutput,
         piece: &mut Piece,
@@ -74,7 +74,7 @@ impl Numbering {
             }
         }
         for axis in 0..3 {
-            if at[axis] + 1 < blocks.range.max[axis] && !out.high[axis].is_empty() {
+            if at[axis] < end[axis] - 1 && !out.high[axis].is_empty() {
                 let numbers: Box<[u64]> = out.high[axis]
                     .iter()
                     .map(|&v| piece.ids[v as usize])

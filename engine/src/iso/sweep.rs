@@ -11,7 +11,7 @@ use super::numbering::Numbering;
 use crate::budget::{Budget, Permit, human_bytes};
 use crate::error::{Error, ErrorKind, Result};
 use crate::field::Field;
-use crate::mesh::{EdgeKey, MeshSink, Piece, Totals};
+use crate::mesh::{Count, EdgeKey, MeshSink, Piece, Totals};
 use std::collections::BTreeMap;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -27,9 +27,15 @@ struct Batch {
     extra: Option<Permit>,
 }
 
+/// Takes a piece without numbers, its blocks and how many were looked at.
+pub(super) type Keep<'a> =
+    &'a mut (dyn FnMut(&Piece, &[([i32; 3], BlockOutput)], u64) -> Result<()> + Send);
+
 /// Everything the threads share, under one short lock.
-struct State {
+struct State<'k> {
     numbering: Numbering,
+    /// Takes batches in their order when only a part of the mesh is made; none gets numbers then.
+    keep: Option<Keep<'k>>,
     stats: Stats,
     /// Finished batches that wait for their turn to be numbered.
     waiting: BTreeMap<u64, Batch>,
@@ -45,7 +51,7 @@ struct State {
     front: Permit,
 }
 
-struct Sweep<'a> {
+struct Sweep<'a, 'k> {
     field: &'a dyn Field,
     blocks: Blocks,
     style: Style,
@@ -53,7 +59,7 @@ struct Sweep<'a> {
     sink: &'a dyn MeshSink,
     limits: Limits,
     candidates: Mutex<Candidates<'a>>,
-    state: Mutex<State>,
+    state: Mutex<State<'k>>,
     changed: Condvar,
 }
 
@@ -115,6 +121,37 @@ pub(super) fn sweep(
     budget: &Budget,
     sink: &dyn MeshSink,
 ) -> Result<(Stats, Totals)> {
+    let candidates = Candidates::new(field, blocks, style.iso, style.inside);
+    march(candidates, style, first, budget, sink, None)
+}
+
+/// Meshes some of the blocks and gives them to `keep` in their order, without global numbers.
+pub(super) fn sweep_some(
+    candidates: Candidates<'_>,
+    style: Style,
+    budget: &Budget,
+    keep: Keep<'_>,
+) -> Result<(Stats, Totals)> {
+    let nothing = Count::default();
+    march(
+        candidates,
+        style,
+        Totals::default(),
+        budget,
+        &nothing,
+        Some(keep),
+    )
+}
+
+fn march(
+    candidates: Candidates<'_>,
+    style: Style,
+    first: Totals,
+    budget: &Budget,
+    sink: &dyn MeshSink,
+    keep: Option<Keep<'_>>,
+) -> Result<(Stats, Totals)> {
+    let (field, blocks) = (candidates.field, candidates.blocks);
     let limits = Limits::new(&blocks, &style, budget)?;
     let piece = usual_piece_bytes(&style);
     let scratch = 4 * (blocks.edge as u64 + 5).pow(3) * 2;
@@ -129,9 +166,10 @@ pub(super) fn sweep(
         budget,
         sink,
         limits,
-        candidates: Mutex::new(Candidates::new(field, blocks, style.iso, style.inside)),
+        candidates: Mutex::new(candidates),
         state: Mutex::new(State {
             numbering: Numbering::from(first),
+            keep,
             stats: Stats::default(),
             waiting: BTreeMap::new(),
             numbered: Vec::new(),
@@ -158,7 +196,7 @@ pub(super) fn sweep(
     Ok((state.stats, state.numbering.totals))
 }
 
-impl Sweep<'_> {
+impl<'k> Sweep<'_, 'k> {
     fn work(&self) {
         let _alarm = Alarm(self);
         if let Err(error) = self.run() {
@@ -168,7 +206,7 @@ impl Sweep<'_> {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, State<'k>> {
         self.state.lock().expect("no thread panicked")
     }
 
@@ -279,7 +317,7 @@ impl Sweep<'_> {
         Ok(batch)
     }
 
-    fn number_waiting(&self, state: &mut State) -> Result<()> {
+    fn number_waiting(&self, state: &mut State<'k>) -> Result<()> {
         loop {
             let turn = state.turn;
             let Some(mut batch) = state.waiting.remove(&turn) else {
@@ -291,11 +329,18 @@ impl Sweep<'_> {
         }
     }
 
-    fn number(&self, state: &mut State, batch: &mut Batch) -> Result<()> {
+    fn number(&self, state: &mut State<'k>, batch: &mut Batch) -> Result<()> {
         let Batch { piece, blocks, .. } = batch;
-        state.numbering.start(piece);
+        if let Some(keep) = &mut state.keep {
+            keep(piece, blocks, batch.visited)?;
+        } else {
+            state.numbering.start(piece);
+        }
         for (at, out) in blocks.iter() {
-            state.numbering.pass(&self.blocks, *at, out, piece)?;
+            if state.keep.is_none() {
+                let end = self.blocks.range.max;
+                state.numbering.pass(end, *at, out, piece)?;
+            }
             state.stats.active_cells += out.active_cells;
             state.stats.ambiguous_faces += out.ambiguous_faces;
             state.stats.interior_vertices += out.interior_vertices;
@@ -333,9 +378,9 @@ impl Sweep<'_> {
 }
 
 /// Tells the other threads when one panics, so that none waits for it.
-struct Alarm<'a, 'b>(&'a Sweep<'b>);
+struct Alarm<'a, 'b, 'k>(&'a Sweep<'b, 'k>);
 
-impl Drop for Alarm<'_, '_> {
+impl Drop for Alarm<'_, '_, '_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
             let mut state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);

@@ -11,7 +11,7 @@ use crate::render::{Raster, crossing_bounds, look};
 use crate::tally::{Figures, Tally};
 use crate::tee::Tee;
 use brickmarch::budget::human_bytes;
-use brickmarch::iso::{Boundary, Extract, Stats, extract};
+use brickmarch::iso::{Boundary, Extract, Part, Stats, extract, extract_part};
 use brickmarch::mesh::{Components, Kept, Layout, Which};
 use brickmarch::store::Volume;
 use brickmarch::{Box3, Budget, Error, ErrorKind, Field, Inside, Kind, MeshSink, Result};
@@ -46,6 +46,11 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
     let options = options(args, field).map_err(&blame)?;
     if args.dry_run {
         return dry_run(args, &job, field, &options).map_err(|e| anyhow::Error::new(blame(e)));
+    }
+    if let Some([number, of]) = args.part {
+        let part = Part { number, of };
+        return one_part(args, &job, field, &options, part, replace)
+            .map_err(|e| anyhow::Error::new(blame(e)));
     }
     let made = make(args, &job, field, &options, replace).map_err(&blame)?;
     let took = job.seconds();
@@ -98,6 +103,48 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
             false => Outcome::Done,
         },
     )
+}
+
+/// Writes one part of the mesh.
+fn one_part(
+    args: &Mesh,
+    job: &Job,
+    field: &dyn Field,
+    options: &Extract,
+    part: Part,
+    replace: Replace,
+) -> Result<Outcome> {
+    let mut stats = Ok(Stats::default());
+    let bytes = output::write_whole(&args.out, replace, |file| {
+        let _watch = job.watch("meshing");
+        stats = extract_part(field, options, part, &job.budget, file, &args.out);
+        match stats {
+            Ok(_) => Ok(()),
+            // The error itself is in `stats`; this only keeps the file from getting its name.
+            Err(_) => Err(std::io::ErrorKind::Interrupted.into()),
+        }
+    });
+    let stats = stats?;
+    let bytes = bytes?;
+    let text = format!(
+        "{}: part {} of {}: {} triangles, {}, {}, peak {}\n",
+        args.out.display(),
+        part.number,
+        part.of,
+        thousands(stats.triangles),
+        human_bytes(bytes),
+        seconds(job.seconds()),
+        Job::peak_text(),
+    );
+    let mut json = json!({
+        "schema": 1, "command": "mesh", "volume": args.volume, "out": args.out,
+        "part": part.number, "parts": part.of, "seconds": job.seconds(), "bytes_out": bytes,
+        "peak_rss_bytes": crate::system::peak_resident_bytes(), "mem_bytes": args.run.limits.mem,
+    });
+    add_figures(&mut json, &stats, None);
+    let printed = job.result(&text, &json);
+    printed.map_err(|e| Error::io(Path::new("standard output"), "writing", e))?;
+    Ok(Outcome::Done)
 }
 
 /// Counts of a mesh, and measures where they were taken, for programs.

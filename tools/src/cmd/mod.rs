@@ -8,6 +8,7 @@ pub(crate) mod export;
 pub(crate) mod import;
 pub(crate) mod info;
 mod labels;
+pub(crate) mod join;
 pub(crate) mod manual;
 pub(crate) mod mesh;
 pub(crate) mod model;
