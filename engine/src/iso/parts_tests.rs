@@ -10,11 +10,13 @@ use crate::sample::Kind;
 use std::io::Read;
 use std::path::Path;
 
+/// Waves along all axes, from a table.
 fn field() -> impl Field {
     let grid = Grid::new(Box3::new([-3, 5, 0], [60, 52, 71]));
-    let value = |p: [i32; 3]| {
-        let [x, y, z] = p.map(|v| v as f32 * 0.31);
-        x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()
+    let wave: Vec<f32> = (0..128).map(|i| (i as f32 * 0.31).sin()).collect();
+    let value = move |p: [i32; 3]| {
+        let at = |a: usize, shift: usize| wave[(p[a] + 8) as usize + shift];
+        at(0, 0) * at(1, 5) + at(1, 0) * at(2, 5) + at(2, 0) * at(0, 5)
     };
     FromFn::new(grid, Kind::Density, value, |_| Range::UNKNOWN)
 }
