@@ -8,6 +8,7 @@ mod labels;
 mod laws;
 mod normals;
 mod oracle;
+mod parts;
 mod seeds;
 mod tiles;
 mod world;

@@ -461,7 +461,7 @@ impl<'a> Sweep<'a> {
         let numbering = state.labels.entry(part.label).or_default();
         let before = numbering.front_bytes();
         numbering.start(&mut part.piece);
-        numbering.pass(&self.blocks, part.at, &part.out, &mut part.piece)?;
+        numbering.pass(self.blocks.range.max, part.at, &part.out, &mut part.piece)?;
         numbering.end(&part.piece);
         state.front_bytes = state.front_bytes + numbering.front_bytes() - before;
         let totals = numbering.totals;

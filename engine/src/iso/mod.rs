@@ -15,8 +15,6 @@ mod label_mask;
 mod labels;
 mod numbering;
 mod parts;
-#[cfg(test)]
-mod parts_tests;
 mod place;
 mod scan;
 mod sweep;

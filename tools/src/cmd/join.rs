@@ -26,7 +26,7 @@ pub(crate) fn run(args: &Join) -> anyhow::Result<Outcome> {
         let _watch = job.watch("joining");
         let mut files = Vec::new();
         for path in &paths {
-            files.push(Part { path, file: None });
+            files.push(Part::Closed(path));
         }
         let mut parts: Vec<(&Path, &mut dyn Read)> = paths
             .iter()
@@ -69,22 +69,23 @@ fn in_order(paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
 }
 
 /// A part that is open only while it is read, so that there may be thousands.
-struct Part<'a> {
-    path: &'a Path,
-    file: Option<BufReader<File>>,
+enum Part<'a> {
+    Closed(&'a Path),
+    Open(BufReader<File>),
+    Over,
 }
 
 impl Read for Part<'_> {
     fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
-        let file = match &mut self.file {
-            Some(file) => file,
-            none => none.insert(BufReader::with_capacity(BUFFER, File::open(self.path)?)),
+        if let Part::Closed(path) = self {
+            *self = Part::Open(BufReader::with_capacity(BUFFER, File::open(path)?));
+        }
+        let Part::Open(file) = self else {
+            return Ok(0);
         };
         let n = file.read(out)?;
         if n == 0 && !out.is_empty() {
-            self.file = None;
-            // Closed at its end; whoever reads on is told again that it is over.
-            self.path = Path::new("/dev/null");
+            *self = Part::Over;
         }
         Ok(n)
     }

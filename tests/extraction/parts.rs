@@ -1,12 +1,9 @@
 //! Parts against a mesh made at once, and damaged parts.
 
-use super::{Boundary, Extract, Part, extract, extract_part, join_parts};
-use crate::budget::Budget;
-use crate::error::ErrorKind;
-use crate::field::{Field, FromFn, Range};
-use crate::lattice::{Box3, Grid};
-use crate::mesh::Collect;
-use crate::sample::Kind;
+use brickmarch::field::{FromFn, Range};
+use brickmarch::iso::{Boundary, Extract, Part, Stats, extract, extract_part, join_parts};
+use brickmarch::mesh::Collect;
+use brickmarch::{Box3, Budget, ErrorKind, Field, Grid, Kind, Mesh};
 use std::io::Read;
 use std::path::Path;
 
@@ -29,7 +26,7 @@ fn part(field: &dyn Field, options: &Extract, number: u32, of: u32) -> Vec<u8> {
     bytes
 }
 
-fn join(parts: &[Vec<u8>]) -> crate::Result<(crate::mesh::Mesh, super::Stats)> {
+fn join(parts: &[Vec<u8>]) -> brickmarch::Result<(Mesh, Stats)> {
     let mut readers: Vec<&[u8]> = parts.iter().map(Vec::as_slice).collect();
     let mut named: Vec<(&Path, &mut dyn Read)> = readers
         .iter_mut()
@@ -66,7 +63,7 @@ fn parts_in_any_number_join_to_the_mesh() {
             let parts: Vec<Vec<u8>> = parts.into_iter().rev().collect();
             let (mesh, joined) = join(&parts).expect("joins");
             assert!(mesh == whole, "{of} parts");
-            let counts = |s: super::Stats| {
+            let counts = |s: Stats| {
                 [
                     s.vertices,
                     s.triangles,
