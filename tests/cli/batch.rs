@@ -17,7 +17,7 @@ fn batch(job: &Path, more: &[&str]) -> Run {
     brickmarch(words.iter().chain(more))
 }
 
-/// A folder with sources and a job of 45 tasks on them: all that a batch does on real scans and on
+/// A folder with sources and a job of 53 tasks on them: all that a batch does on real scans and on
 /// generated fields, one task that fails and two that need what it does not make.
 fn job(scratch: &Scratch) -> PathBuf {
     let noise = random(
@@ -94,6 +94,12 @@ output = "noise-{iso}.ply"
 iso = [0, 0.25]
 mem = "96MiB"
 [[task]]
+op = "mesh"
+input = "noise.bvol"
+output = "tiled-{iso}.ply"
+iso = 0.25
+tiles = 7
+[[task]]
 op = "check"
 input = "noise-*.ply"
 [[task]]
@@ -155,7 +161,7 @@ fn resident(pid: u32) -> u64 {
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "release only: 45 tasks, many times")]
+#[cfg_attr(debug_assertions, ignore = "release only: 53 tasks, many times")]
 fn a_batch_is_bounded_and_goes_on_after_any_kill() {
     let scratch = Scratch::new("batch");
     let file = job(&scratch);
@@ -186,6 +192,12 @@ fn a_batch_is_bounded_and_goes_on_after_any_kill() {
         peak >> 20
     );
     let whole = outputs(&out);
+    let named = |name: &str| &whole[Path::new(name)];
+    assert!(
+        named("tiled-0.25.ply") == named("noise-0.25.ply"),
+        "seven tiles give another mesh"
+    );
+    assert!(whole.keys().all(|p| !p.starts_with(".brickmarch-batch")));
     let report: serde_json::Value =
         serde_json::from_slice(&std::fs::read(out.join("report.json")).expect("a report"))
             .expect("is JSON");

@@ -5,6 +5,7 @@ mod batch;
 mod check;
 mod components;
 mod labels;
+mod parts;
 mod pipeline;
 mod real_data;
 mod signals;

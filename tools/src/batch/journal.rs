@@ -1,7 +1,7 @@
 //! What of a batch is finished: one line per task, synced, in a file that only grows.
 
 use super::{Seen, own_folder};
-use crate::batch::plan::Task;
+use crate::batch::plan::{Plan, Task};
 use brickmarch::{Error, ErrorKind, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -76,6 +76,13 @@ impl Journal {
         let entry = self.entries.get(&task.key)?;
         let same = entry.input.still() && entry.outputs.iter().all(Seen::still);
         (same && entry.input.path == task.input).then_some(entry)
+    }
+
+    /// The same for a task of the plan; nothing need be done for a part whose mesh is there.
+    pub(crate) fn kept(&self, plan: &Plan, number: usize) -> Option<&Entry> {
+        let task = &plan.tasks[number];
+        let whole = || self.finished(&plan.tasks[task.part_for?]);
+        self.finished(task).or_else(whole)
     }
 
     /// Adds a line, on the medium when this returns.

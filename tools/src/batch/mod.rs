@@ -6,10 +6,12 @@
 
 mod child;
 mod file;
+mod inputs;
 mod journal;
 mod plan;
 mod report;
 mod run;
+mod tiles;
 
 pub(crate) use journal::Journal;
 pub(crate) use plan::Plan;

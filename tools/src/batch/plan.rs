@@ -2,6 +2,8 @@
 //! every command line is checked before anything runs.
 
 use super::file::{self, JobFile};
+use super::inputs::{Input, inputs};
+use super::tiles;
 use crate::args::Cli;
 use brickmarch::{Error, Result};
 use clap::{CommandFactory, Parser};
@@ -29,7 +31,7 @@ const OWN: [&str; 9] = [
     "version",
 ];
 /// Keys of a task that are no options.
-const KEYS: [&str; 6] = ["op", "title", "input", "output", "retries", "mem"];
+const KEYS: [&str; 7] = ["op", "title", "input", "output", "retries", "mem", "tiles"];
 /// Options that name another output.
 const OUTPUT_OPTIONS: [&str; 1] = ["picture"];
 
@@ -46,17 +48,20 @@ pub(crate) struct Plan {
 }
 
 /// One run of this program.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Task {
     pub name: String,
     pub op: String,
+    /// What it depends on: done again when this is not as it was.
     pub input: PathBuf,
     /// Where the output goes, for operations that have one.
     pub output: Option<PathBuf>,
     /// Words of the command line in the order of its operands, then its options.
-    words: Vec<Word>,
+    pub(super) words: Vec<Word>,
     /// Tasks whose outputs this one reads.
     pub after: Vec<usize>,
+    /// The task that this one makes a part for. It need not be done when that one is.
+    pub part_for: Option<usize>,
     /// Bytes that it wants; its share when it does not say.
     pub mem: Option<u64>,
     pub retries: u32,
@@ -64,7 +69,7 @@ pub(crate) struct Task {
 }
 
 #[derive(Clone, Debug)]
-enum Word {
+pub(super) enum Word {
     Plain(String),
     Input,
     /// The name of an output, in the folder that the task works in.
@@ -83,6 +88,27 @@ impl Task {
         std::iter::once(self.op.clone())
             .chain(self.words.iter().map(word))
             .collect()
+    }
+
+    /// The command line as it is told to people, and by which the task is known.
+    pub(crate) fn line(&self) -> Vec<String> {
+        let folder = self.output.as_deref().and_then(Path::parent);
+        self.words(folder.unwrap_or(Path::new("")))
+    }
+
+    /// Whether the program takes the command line.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub(super) fn check(&self) -> Result<()> {
+        let line = self.line();
+        let words = std::iter::once("brickmarch").chain(line.iter().map(String::as_str));
+        Cli::try_parse_from(words).map(drop).map_err(|e| {
+            let text = e.to_string();
+            let first = text.lines().next().unwrap_or_default();
+            let first = first.strip_prefix("error: ").unwrap_or(first);
+            Error::bad_input(format!("'{}': {first}", self.name))
+        })
     }
 
     /// Whether the operation has an option.
@@ -106,12 +132,18 @@ impl Plan {
             let place = format!("{}:{line}", path.display());
             let context = |e: Error| e.context(&place);
             let new = tasks_of(&file, table, &made).map_err(context)?;
-            if tasks.len() + new.len() > MAX_TASKS {
+            let tiles = tiles::count(table).map_err(context)?;
+            if tasks.len() + new.len().saturating_mul(1 + tiles.unwrap_or(0)) > MAX_TASKS {
                 return Err(context(Error::bad_input(format!(
                     "more than {MAX_TASKS} tasks: cut the job in pieces"
                 ))));
             }
-            for (task, text) in new {
+            for (mut task, text) in new {
+                if let Some(tiles) = tiles {
+                    let parts = tiles::cut(&mut task, tiles, tasks.len(), &file.out);
+                    parts[0].check().map_err(context)?;
+                    tasks.extend(parts);
+                }
                 let number = tasks.len();
                 if let Some(output) = &task.output
                     && let Some(other) = taken.insert(output.clone(), number)
@@ -158,6 +190,11 @@ fn tasks_of(
             return Err(Error::bad_input(format!(
                 "`{key}` belongs to the whole batch: give it on its command line"
             )));
+        }
+        if op == "mesh" && key == "part" {
+            return Err(Error::bad_input(
+                "`part` is given by the batch: write tiles = N for a mesh that is made in N parts",
+            ));
         }
         let ours = KEYS.contains(&key.as_str());
         if !ours && !options.contains(&key.replace('_', "-")) {
@@ -219,112 +256,6 @@ fn title(op: &str, input: &str, choice: &Choice) -> String {
         title += &format!(" {key}={value}");
     }
     title
-}
-
-/// An input: its path, how the file writes it, and the task that makes it.
-struct Input {
-    path: PathBuf,
-    text: String,
-    from: Option<usize>,
-}
-
-fn inputs(file: &JobFile, table: &Table, made: &HashMap<String, usize>) -> Result<Vec<Input>> {
-    let list = match table.get("input") {
-        Some(Value::String(one)) => vec![one.clone()],
-        Some(Value::Array(many)) if !many.is_empty() => many
-            .iter()
-            .map(|v| v.as_str().map(str::to_string))
-            .collect::<Option<_>>()
-            .ok_or_else(|| Error::bad_input("`input` is a path or a list of paths, as texts"))?,
-        _ => {
-            return Err(Error::bad_input(
-                "no `input`: give a path, or a list of paths; * stands for any part of a file name",
-            ));
-        }
-    };
-    let mut out = Vec::new();
-    for text in list {
-        if let Some(&from) = made.get(&text) {
-            out.push(Input {
-                path: file.out.join(&text),
-                text,
-                from: Some(from),
-            });
-        } else if text.contains('*') {
-            let found = matching(file, &text, made)?;
-            if found.is_empty() {
-                return Err(Error::bad_input(format!(
-                    "input = \"{text}\": no such file, and no earlier task makes one"
-                )));
-            }
-            out.extend(found);
-        } else {
-            let path = file.base.join(&text);
-            if !path.is_file() {
-                return Err(Error::bad_input(format!(
-                    "input = \"{text}\": there is no file {}, and no earlier task has this `output`",
-                    path.display()
-                )));
-            }
-            out.push(Input {
-                path,
-                text,
-                from: None,
-            });
-        }
-    }
-    Ok(out)
-}
-
-/// What a pattern with `*` in its last part stands for: outputs of earlier tasks, then files.
-fn matching(file: &JobFile, pattern: &str, made: &HashMap<String, usize>) -> Result<Vec<Input>> {
-    let (folder, name) = pattern.rsplit_once('/').unwrap_or(("", pattern));
-    if folder.contains('*') {
-        return Err(Error::bad_input(format!(
-            "input = \"{pattern}\": * may stand in the name of the file only"
-        )));
-    }
-    let mut out: Vec<Input> = made
-        .iter()
-        .filter(|(text, _)| {
-            let (f, n) = text.rsplit_once('/').unwrap_or(("", text));
-            f == folder && matches(name, n)
-        })
-        .map(|(text, &from)| Input {
-            path: file.out.join(text),
-            text: text.clone(),
-            from: Some(from),
-        })
-        .collect();
-    let full = file.base.join(folder);
-    for entry in std::fs::read_dir(&full).into_iter().flatten().flatten() {
-        let found = entry.file_name().to_string_lossy().into_owned();
-        if matches(name, &found) && entry.path().is_file() {
-            out.push(Input {
-                path: entry.path(),
-                text: if folder.is_empty() {
-                    found
-                } else {
-                    format!("{folder}/{found}")
-                },
-                from: None,
-            });
-        }
-    }
-    out.sort_by(|a, b| a.text.cmp(&b.text));
-    Ok(out)
-}
-
-/// Whether a name fits a pattern in which `*` stands for any text.
-fn matches(pattern: &str, name: &str) -> bool {
-    let Some((first, rest)) = pattern.split_once('*') else {
-        return pattern == name;
-    };
-    let Some(after) = name.strip_prefix(first) else {
-        return false;
-    };
-    let ends = after.char_indices().map(|(i, _)| i).chain([after.len()]);
-    ends.into_iter().any(|i| matches(rest, &after[i..]))
 }
 
 /// Values of the options of one task, by key.
@@ -484,23 +415,13 @@ impl Blank<'_> {
             output: output.as_ref().map(|o| self.file.out.join(o)),
             words,
             after: self.input.from.into_iter().collect(),
+            part_for: None,
             mem: self.mem,
             retries: self.retries,
             key: String::new(),
         };
-        let line = task.words(
-            task.output
-                .as_deref()
-                .and_then(Path::parent)
-                .unwrap_or(Path::new("")),
-        );
-        Cli::try_parse_from(std::iter::once("brickmarch").chain(line.iter().map(String::as_str)))
-            .map_err(|e| {
-            let text = e.to_string();
-            let first = text.lines().next().unwrap_or_default();
-            let first = first.strip_prefix("error: ").unwrap_or(first);
-            Error::bad_input(format!("'{}': {first}", task.name))
-        })?;
+        let line = task.line();
+        task.check()?;
         task.key = serde_json::json!(line).to_string();
         Ok((task, output))
     }
@@ -586,141 +507,5 @@ fn operands_of(op: &str) -> Vec<String> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn plan(text: &str) -> Result<Plan> {
-        let folder = tempfile::tempdir().expect("a folder");
-        for name in ["a.bvol", "b.bvol", "c.raw"] {
-            std::fs::write(folder.path().join(name), b"x").expect("written");
-        }
-        let path = folder.path().join("job.toml");
-        std::fs::write(&path, text).expect("written");
-        Plan::read(&path)
-    }
-
-    #[test]
-    fn lists_are_multiplied_and_names_filled_in() {
-        let plan = plan(
-            "[[task]]\nop = \"mesh\"\ninput = [\"a.bvol\", \"b.bvol\"]\noutput = \"{stem}/{iso}.ply\"\n\
-             iso = [1, -2.5]\nnormals = true\nkeys = false\nseed = [[\"1,2,3\", \"4,5,6\"]]\n\
-             [[task]]\nop = \"check\"\ninput = \"a/*.ply\"\n",
-        )
-        .expect("a good plan");
-        let outputs: Vec<_> = plan
-            .tasks
-            .iter()
-            .filter_map(|t| t.output.as_ref())
-            .collect();
-        let end = |p: &PathBuf| p.strip_prefix(&plan.out).expect("below").to_path_buf();
-        assert_eq!(
-            outputs.into_iter().map(end).collect::<Vec<_>>(),
-            ["a/1.ply", "a/-2.5.ply", "b/1.ply", "b/-2.5.ply"].map(PathBuf::from)
-        );
-        let line = plan.tasks[1].words(Path::new("w")).join(" ");
-        assert!(
-            line.ends_with("a.bvol w/-2.5.ply --iso=-2.5 --normals --seed=1,2,3 --seed=4,5,6"),
-            "{line}"
-        );
-        // What an earlier task makes is an input like a file, and is waited for.
-        assert_eq!(plan.tasks.len(), 6);
-        assert_eq!(
-            (&plan.tasks[4].after[..], &plan.tasks[5].after[..]),
-            (&[1][..], &[0][..])
-        );
-    }
-
-    #[test]
-    fn mistakes_are_said_with_their_line() {
-        let mesh = "[[task]]\nop = \"mesh\"\ninput = \"a.bvol\"\n";
-        for (text, line, part) in [
-            (String::new(), None, "no task"),
-            ("x = 1\n".into(), Some(1), "unknown field `x`"),
-            ("\n[[task]]\nop = 3\n".into(), Some(2), "`op` = 3"),
-            ("[[task]]\nop = \"demo\"\n".into(), Some(1), "use one of"),
-            (
-                "[[task]]\nop = \"mesh\"\noutput = \"x\"\n".into(),
-                Some(1),
-                "no `input`",
-            ),
-            (mesh.into(), Some(1), "no `output`"),
-            (
-                format!("{mesh}output = \"{{iso}}.ply\"\n"),
-                Some(1),
-                "has no `iso`",
-            ),
-            (
-                format!("{mesh}output = \"../x.ply\"\n"),
-                Some(1),
-                "inside of the folder",
-            ),
-            (
-                format!("{mesh}output = \"x.ply\"\nisos = 1\n"),
-                Some(1),
-                "no such option",
-            ),
-            (
-                format!("{mesh}output = \"x.ply\"\nthreads = 1\n"),
-                Some(1),
-                "whole batch",
-            ),
-            (
-                format!("{mesh}output = \"x.ply\"\niso = []\n"),
-                Some(1),
-                "empty list",
-            ),
-            (
-                format!("{mesh}output = \"x.ply\"\niso = \"much\"\n"),
-                Some(1),
-                "much",
-            ),
-            (
-                format!("{mesh}output = \"x.ply\"\niso = [1, 2]\n"),
-                Some(1),
-                "both write",
-            ),
-            (
-                format!("{mesh}output = \"x.ply\"\nmem = \"lots\"\n"),
-                Some(1),
-                "mem",
-            ),
-            (
-                "[[task]]\nop = \"info\"\ninput = \"none.bvol\"\n".into(),
-                Some(1),
-                "there is no file",
-            ),
-            (
-                "[[task]]\nop = \"info\"\ninput = \"*.none\"\n".into(),
-                Some(1),
-                "no such file",
-            ),
-            (
-                "[[task]]\nop = \"info\"\ninput = \"a.bvol\"\noutput = \"x\"\n".into(),
-                Some(1),
-                "writes no file",
-            ),
-            ("[[task]\n".into(), Some(1), ""),
-        ] {
-            let error = plan(&text).expect_err(&text).to_string();
-            let place = line.map_or("job.toml: ".to_string(), |l| format!("job.toml:{l}: "));
-            assert!(
-                error.contains(&place) && error.contains(part),
-                "{text}: {error}"
-            );
-            assert!(!error.contains('\n'), "{error}");
-        }
-    }
-
-    #[test]
-    fn a_star_is_any_text() {
-        for (pattern, name, fits) in [
-            ("*.bvol", "a.bvol", true),
-            ("a*b*c", "aXbYc", true),
-            ("a*b*c", "aXbY", false),
-            ("*", "", true),
-            ("é*", "éa", true),
-        ] {
-            assert_eq!(matches(pattern, name), fits, "{pattern} {name}");
-        }
-    }
-}
+#[path = "plan_tests.rs"]
+mod tests;

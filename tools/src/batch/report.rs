@@ -1,7 +1,7 @@
 //! What a batch has done, for people and for programs.
 
 use super::journal::{Entry, Journal};
-use super::plan::Plan;
+use super::plan::{Plan, Task};
 use super::run::Limits;
 use brickmarch::budget::human_bytes;
 use serde_json::{Value, json};
@@ -51,9 +51,12 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    /// Takes over what the journal knows.
-    pub(super) fn keep(&mut self, entry: &Entry) {
+    /// Takes over what the journal knows of the task, or of the one that it makes a part for.
+    pub(super) fn keep(&mut self, entry: &Entry, task: &Task) {
         self.state = State::Kept;
+        if entry.key != task.key {
+            return;
+        }
         self.seconds = entry.seconds;
         self.tries = entry.tries;
         self.outputs = entry
@@ -202,15 +205,10 @@ impl Report {
 pub(crate) fn dry_run(plan: &Plan, limits: &Limits, journal: Option<&Journal>) -> (String, Value) {
     let mut text = String::new();
     let mut tasks = Vec::new();
-    for task in &plan.tasks {
-        let kept = journal.is_some_and(|j| j.finished(task).is_some());
+    for (number, task) in plan.tasks.iter().enumerate() {
+        let kept = journal.is_some_and(|j| j.kept(plan, number).is_some());
         let mem = limits.of(task);
-        let folder = task
-            .output
-            .as_deref()
-            .and_then(|o| o.parent())
-            .unwrap_or(&plan.out);
-        let line = task.words(folder).join(" ");
+        let line = task.line().join(" ");
         let state = if kept { "kept" } else { "to do" };
         let _ = writeln!(
             text,

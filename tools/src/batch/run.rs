@@ -99,8 +99,13 @@ pub(crate) fn run(
             std::thread::sleep(TICK);
         }
     }
-    // Folders of tasks that were stopped for good, and of plans that are no more.
+    // Folders of tasks that were stopped for good, and of plans that are no more. Parts stay where a
+    // mesh could not be joined yet.
     let _ = std::fs::remove_dir_all(own_folder(&plan.out).join("work"));
+    let joined = |n: usize| matches!(batch.report.tasks[n].state, State::Done | State::Kept);
+    if plan.tasks.iter().filter_map(|t| t.part_for).all(joined) {
+        let _ = std::fs::remove_dir_all(own_folder(&plan.out).join("parts"));
+    }
     Ok(batch.report)
 }
 
@@ -148,11 +153,11 @@ impl Batch<'_> {
                 .iter()
                 .map(|&n| self.report.tasks[n].state)
                 .collect();
-            if before
+            let missing = before
                 .iter()
-                .any(|s| matches!(s, State::Failed | State::Skipped))
-            {
-                let cause = &self.plan.tasks[task.after[0]].name;
+                .position(|s| matches!(s, State::Failed | State::Skipped));
+            if let Some(n) = missing {
+                let cause = &self.plan.tasks[task.after[n]].name;
                 self.report.tasks[number].state = State::Skipped;
                 self.report.tasks[number].error =
                     Some(format!("'{cause}' has made no input for it"));
@@ -162,8 +167,8 @@ impl Batch<'_> {
             if !before.iter().all(|s| s.is_over()) {
                 continue;
             }
-            if let Some(entry) = journal.finished(task) {
-                self.report.tasks[number].keep(entry);
+            if let Some(entry) = journal.kept(self.plan, number) {
+                self.report.tasks[number].keep(entry, task);
                 moved = true;
                 continue;
             }
@@ -226,10 +231,16 @@ impl Batch<'_> {
             tries: child.tries,
             result: ended.result,
         };
-        line.keep(&entry);
+        line.keep(&entry, task);
         line.state = State::Done;
         journal.add(entry)?;
         child.clear();
+        // Parts of a mesh that is there.
+        for part in task.after.iter().map(|&n| &self.plan.tasks[n]) {
+            if let (Some(_), Some(path)) = (part.part_for, &part.output) {
+                let _ = std::fs::remove_file(path);
+            }
+        }
         Ok(())
     }
 }
