@@ -107,6 +107,7 @@ fn sources(dir: &Path) -> Vec<PathBuf> {
             if path
                 .file_name()
                 .is_some_and(|n| n != "target" && n != ".git")
+                && !is_test_only(&path)
             {
                 out.extend(sources(&path));
             }

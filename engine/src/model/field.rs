@@ -33,7 +33,7 @@ pub struct Model {
     grid: Grid,
     convention: Convention,
     band: Option<f64>,
-    tape: Arc<Tape>,
+    pub(super) tape: Arc<Tape>,
     attributes: Vec<(String, Tape)>,
     kept: Mutex<Kept>,
     samples: AtomicU64,
