@@ -290,7 +290,7 @@ pub(crate) struct Mesh {
     /// The surfaces of these segments of a label volume, in one pass: all (but 0), or 1,2,5; a file for each
     /// when OUT has {label} in its name, else one .ply whose faces have a label
     #[arg(long, value_name = "IDS", value_parser = parse::labels,
-          conflicts_with_all = ["iso", "label", "seed", "inside"])]
+          conflicts_with_all = ["iso", "label", "seed", "inside", "smooth"])]
     pub labels: Option<parse::LabelList>,
     /// Smooth the mask of each segment before it is meshed: passes of the kernel 1/4, 1/2, 1/4
     #[arg(long, value_name = "N", default_value_t = 0, requires = "labels",
@@ -328,6 +328,8 @@ pub(crate) struct Mesh {
     /// Write the lattice edge of each vertex, by which pieces can be joined
     #[arg(long)]
     pub keys: bool,
+    #[command(flatten)]
+    pub smooth: Smooth,
     /// Coordinates of the mesh
     #[arg(long, value_enum, default_value_t = Space::World)]
     pub space: Space,
@@ -382,6 +384,8 @@ pub(crate) struct Model {
     /// Meshes: write unit normals
     #[arg(long)]
     pub normals: bool,
+    #[command(flatten)]
+    pub smooth: Smooth,
     /// Meshes: write the colours of the scene (.ply)
     #[arg(long)]
     pub colors: bool,
@@ -397,6 +401,34 @@ pub(crate) struct Model {
     pub overwrite: Overwrite,
     #[command(flatten)]
     pub run: Run,
+}
+
+/// Better triangles.
+#[derive(Args, Debug, Clone)]
+pub(crate) struct Smooth {
+    /// Move vertices for better triangles: along the surface, at most half a cell along each axis
+    #[arg(long, value_enum, value_name = "HOW")]
+    pub smooth: Option<SmoothMode>,
+    /// How often each vertex is moved
+    #[arg(long, value_name = "N", default_value_t = 3, requires = "smooth",
+          value_parser = clap::value_parser!(u8).range(1..=5))]
+    pub passes: u8,
+}
+
+impl Smooth {
+    /// Passes of relaxation, 0 for none.
+    pub(crate) fn relax(&self) -> u8 {
+        match self.smooth {
+            Some(SmoothMode::Quality) => self.passes,
+            None => 0,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum SmoothMode {
+    /// No slivers; the surface stays where it is
+    Quality,
 }
 
 /// A shaded picture of the surface, drawn while it is made.

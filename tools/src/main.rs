@@ -10,6 +10,7 @@ mod parse;
 mod picture;
 mod progress;
 mod render;
+mod shapes;
 mod system;
 mod tally;
 mod tee;

@@ -84,6 +84,8 @@ pub(super) struct Style {
     pub(super) placement: Placement,
     pub(super) normals: bool,
     pub(super) keys: bool,
+    /// Passes of relaxation; none when 0.
+    pub(super) relax: u8,
     /// Instructions to use.
     pub(super) level: Level,
 }
@@ -132,7 +134,7 @@ impl Block {
 
     /// Local number of the vertex on the edge along `axis` from point (x, y, z).
     #[inline(always)]
-    fn vertex(&self, axis: usize, x: u32, row: usize) -> u32 {
+    pub(super) fn vertex(&self, axis: usize, x: u32, row: usize) -> u32 {
         self.base[axis][row] + (self.crossed[axis][row] & below(x)).count_ones()
     }
 
@@ -177,6 +179,21 @@ impl Block {
                 out.low[axis].clear();
             }
             self.face(size, axis, size[axis] - 1, out.first, &mut out.high[axis]);
+        }
+    }
+
+    /// Calls `f` with the row of points, x and the mask of inside corners of every active cell.
+    pub(super) fn each_cell(&self, mut f: impl FnMut(usize, u32, usize)) {
+        let mut from = 0;
+        for &(row, end) in &self.active {
+            for &code in &self.cells[from..end as usize] {
+                f(
+                    row as usize,
+                    code & 255,
+                    (code >> MASK_SHIFT) as usize & 255,
+                );
+            }
+            from = end as usize;
         }
     }
 

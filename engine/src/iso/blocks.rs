@@ -24,6 +24,10 @@ pub(super) struct Blocks {
     pub(super) samples: Box3,
     /// Sample at the low corner of block (0, 0, 0).
     anchor: [i32; 3],
+    /// Cells of the surface that these are a part of: beyond `cells` where pieces will be joined.
+    whole: Box3,
+    /// The samples of `whole`.
+    pub(super) known: Box3,
 }
 
 impl Blocks {
@@ -66,12 +70,18 @@ impl Blocks {
                 std::array::from_fn(|a| block(a, (cells.max[a] - 1).max(region.min[a])) + 1),
             )
         };
+        let (whole, known) = match boundary {
+            Boundary::Tile => (domain.grow(1, 0), domain),
+            Boundary::Cap | Boundary::Cut => (cells, with_far_side),
+        };
         Ok(Self {
             range,
             edge,
             cells,
             samples: with_far_side,
             anchor,
+            whole,
+            known,
         })
     }
 
@@ -128,6 +138,11 @@ impl Blocks {
         Ok(straddles(range, capped, iso, inside))
     }
 
+    /// `cells` and what lies up to `rings` cells around them, as far as the surface goes on there.
+    pub(super) fn around(&self, cells: Box3, rings: i32) -> Box3 {
+        cells.grow(rings, rings).intersect(&self.whole)
+    }
+
     /// Reads the samples of `cells` with `margin` more on every side.
     pub(super) fn gather(
         &self,
@@ -136,26 +151,18 @@ impl Blocks {
         margin: usize,
         out: &mut BlockSamples,
     ) -> Result<()> {
-        let points = cells.grow(0, 1);
-        let wide = points.grow(margin as i32, margin as i32);
-        let [nx, ny, _] = wide.size().map(|n| n as usize);
-        out.origin = points.min;
-        out.size = points.size().map(|n| n as usize);
-        out.step = [1, nx, nx * ny];
-        out.first = margin * (1 + nx + nx * ny);
-        let known = wide.intersect(&self.samples);
-        if known != wide {
-            out.values.clear();
-        }
-        // What is not known is NaN; where all is known every value is overwritten.
-        out.values.resize(wide.count() as usize, f32::NAN);
-        let start = wide.offset_of(known.min);
-        let mut block = Samples {
-            values: &mut out.values[start..],
-            row: nx,
-            slice: nx * ny,
-        };
-        field.read(known, &mut block)
+        gather(field, cells, margin, &self.samples, out)
+    }
+
+    /// [`gather`](Self::gather) for cells that [`around`](Self::around) gave.
+    pub(super) fn gather_around(
+        &self,
+        field: &dyn Field,
+        cells: Box3,
+        margin: usize,
+        out: &mut BlockSamples,
+    ) -> Result<()> {
+        gather(field, cells, margin, &self.known, out)
     }
 
     /// The samples that no block needs any more once `cells` of a block were gathered, with the blocks
@@ -172,6 +179,36 @@ impl Blocks {
             max: points.min,
         }
     }
+}
+
+/// Reads the samples of `cells` with `margin` more on every side; those not in `samples` are NaN.
+fn gather(
+    field: &dyn Field,
+    cells: Box3,
+    margin: usize,
+    samples: &Box3,
+    out: &mut BlockSamples,
+) -> Result<()> {
+    let points = cells.grow(0, 1);
+    let wide = points.grow(margin as i32, margin as i32);
+    let [nx, ny, _] = wide.size().map(|n| n as usize);
+    out.origin = points.min;
+    out.size = points.size().map(|n| n as usize);
+    out.step = [1, nx, nx * ny];
+    out.first = margin * (1 + nx + nx * ny);
+    let known = wide.intersect(samples);
+    if known != wide {
+        out.values.clear();
+    }
+    // What is not known is NaN; where all is known every value is overwritten.
+    out.values.resize(wide.count() as usize, f32::NAN);
+    let start = wide.offset_of(known.min);
+    let mut block = Samples {
+        values: &mut out.values[start..],
+        row: nx,
+        slice: nx * ny,
+    };
+    field.read(known, &mut block)
 }
 
 fn straddles(range: Range, capped: bool, iso: f32, inside: Inside) -> bool {

@@ -30,6 +30,16 @@ impl Level {
         }
     }
 
+    /// Runs `f` compiled for the instructions of this level, as far as it is inlined.
+    pub(super) fn run<R>(self, f: impl FnOnce() -> R) -> R {
+        match self {
+            Level::Portable => f(),
+            // SAFETY: a level exists only where `available` found its instructions.
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx2 | Level::Avx512 => unsafe { x86::run_avx2(f) },
+        }
+    }
+
     /// See [`Block::emit_with`].
     pub(super) fn emit(
         self,
@@ -73,6 +83,11 @@ mod x86 {
     use crate::iso::vertices::{AXIS_SHIFT, Placed, Y_SHIFT, Z_SHIFT};
     use crate::sample::Inside;
     use std::arch::x86_64::*;
+
+    #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+    pub(super) fn run_avx2<R>(f: impl FnOnce() -> R) -> R {
+        f()
+    }
 
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
     pub(super) fn scan_avx2(block: &mut Block, samples: &BlockSamples, style: &Style) -> bool {
@@ -469,6 +484,7 @@ mod tests {
             placement,
             normals: false,
             keys: true,
+            relax: 0,
             level: Level::Portable,
         };
         let mesh = |level: &Level| {

@@ -4,6 +4,7 @@ use super::block::Style;
 use super::blocks::Blocks;
 use super::dispatch::Level;
 use super::place::Placement;
+use super::relax::MAX_RELAX_PASSES;
 use super::sweep::sweep;
 use super::walker::walk;
 use crate::budget::Budget;
@@ -45,6 +46,9 @@ pub struct Extract {
     pub keys: bool,
     /// Positions in index space instead of world space.
     pub index_space: bool,
+    /// Passes of relaxation, up to [`MAX_RELAX_PASSES`](super::MAX_RELAX_PASSES): vertices slide along the surface
+    /// for better angles, at most half a cell along each axis of the lattice. Three are enough.
+    pub relax: u8,
     /// Whether an empty mesh is a result rather than an error.
     pub allow_empty: bool,
 }
@@ -60,6 +64,7 @@ impl Default for Extract {
             normals: false,
             keys: false,
             index_space: false,
+            relax: 0,
             allow_empty: false,
         }
     }
@@ -140,6 +145,12 @@ pub(super) fn prepare(field: &dyn Field, options: &Extract) -> Result<(Blocks, S
     if options.iso.is_nan() {
         return Err(Error::bad_input("the isovalue is not a number"));
     }
+    if options.relax > MAX_RELAX_PASSES {
+        return Err(Error::bad_input(format!(
+            "{} passes of relaxation: {MAX_RELAX_PASSES} are the most",
+            options.relax
+        )));
+    }
     let grid = field.grid();
     let map = if options.index_space {
         Affine::IDENTITY
@@ -152,8 +163,9 @@ pub(super) fn prepare(field: &dyn Field, options: &Extract) -> Result<(Blocks, S
         inside: options.inside.unwrap_or(field.kind().inside()),
         placement: Placement::new(map, grid.domain)?,
         normals: options.normals,
-        // The walker knows its vertices by key.
-        keys: options.keys || !options.seeds.is_empty(),
+        // The walker knows its vertices by key, and so does who moves them.
+        keys: options.keys || !options.seeds.is_empty() || options.relax > 0,
+        relax: options.relax,
         level: Level::detect(),
     };
     Ok((blocks, style))

@@ -100,6 +100,7 @@ pub fn extract_labels(
         placement: Placement::new(map, grid.domain)?,
         normals: options.normals,
         keys: options.keys,
+        relax: 0,
         level: Level::detect(),
     };
     let limits = Limits::new(&blocks, &style, budget)?;

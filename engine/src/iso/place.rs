@@ -18,6 +18,8 @@ pub(super) struct Placement {
     map: Affine,
     gradient_rows: [[f64; 3]; 3],
     min_t: f32,
+    /// Whether vertices inside cells are placed in coordinates of their cell.
+    in_cells: bool,
     /// Whether triangles must be turned.
     pub(super) mirrored: bool,
 }
@@ -52,6 +54,7 @@ impl Placement {
             map,
             gradient_rows: map.gradient_rows(),
             min_t: MIN_T.max(grain as f32),
+            in_cells: false,
             mirrored: map.is_left_handed(),
         })
     }
@@ -121,6 +124,11 @@ impl Placement {
         self.to_world(g).unwrap_or([0.0, 0.0, 1.0])
     }
 
+    /// The map from the lattice to the world.
+    pub(super) fn map(&self) -> &Affine {
+        &self.map
+    }
+
     /// The least distance, in cells, of a vertex from the ends of its edge.
     pub(super) fn min_t(&self) -> f64 {
         f64::from(self.min_t)
@@ -128,7 +136,23 @@ impl Placement {
 
     /// World position of a point inside the cell with lowest corner `cell`.
     pub(super) fn in_cell(&self, cell: [i32; 3], at: [f64; 3]) -> [f32; 3] {
+        if self.in_cells {
+            return at.map(|v| v as f32);
+        }
         let index = std::array::from_fn(|a| f64::from(cell[a]) + at[a]);
+        self.at(index)
+    }
+
+    /// The same, with vertices inside cells left in coordinates of their cell.
+    pub(super) fn in_cells(self) -> Self {
+        Self {
+            in_cells: true,
+            ..self
+        }
+    }
+
+    /// World position of a point of the lattice.
+    pub(super) fn at(&self, index: [f64; 3]) -> [f32; 3] {
         self.map.apply(index).map(|v| v as f32)
     }
 
@@ -166,7 +190,8 @@ fn unusual(a: f32, b: f32, iso: f32) -> f32 {
     }
 }
 
-fn gradient(samples: &BlockSamples, at: usize) -> [f64; 3] {
+/// The gradient at a sample by central differences, one-sided where a neighbour is missing.
+pub(super) fn gradient(samples: &BlockSamples, at: usize) -> [f64; 3] {
     let value = |i: usize| f64::from(samples.values[i]);
     std::array::from_fn(|axis| {
         let step = samples.step[axis];

@@ -8,6 +8,7 @@ use super::block::{Block, BlockOutput, BlockSamples, Style, TRIANGLES_SLACK};
 use super::blocks::{Blocks, Candidates};
 use super::extract::Stats;
 use super::numbering::Numbering;
+use super::relax::Relaxer;
 use crate::budget::{Budget, Permit, human_bytes};
 use crate::error::{Error, ErrorKind, Result};
 use crate::field::Field;
@@ -87,6 +88,7 @@ pub(super) fn piece_bytes(style: &Style, vertices: usize, triangles: usize) -> u
         + 8
         + 4
         + if style.normals { 12 } else { 0 }
+        + if style.relax > 0 { 12 } else { 0 }
         + if style.keys { size_of::<EdgeKey>() } else { 0 };
     (vertices * vertex + triangles * 12) as u64
 }
@@ -213,6 +215,7 @@ impl<'k> Sweep<'_, 'k> {
     fn run(&self) -> Result<()> {
         let mut block = Block::default();
         let mut samples = BlockSamples::default();
+        let mut relaxer = Relaxer::new(self.field, self.blocks, self.style, self.budget);
         let mut todo = Vec::new();
         let mut state = self.lock();
         loop {
@@ -236,7 +239,8 @@ impl<'k> Sweep<'_, 'k> {
                 };
                 for &at in &todo {
                     self.budget.check_cancelled()?;
-                    batch = self.mesh_block(at, ticket, &mut block, &mut samples, batch)?;
+                    let room = (&mut block, &mut samples, relaxer.as_mut());
+                    batch = self.mesh_block(at, ticket, room, batch)?;
                 }
                 state = self.lock();
                 state.waiting.insert(ticket, batch);
@@ -274,15 +278,17 @@ impl<'k> Sweep<'_, 'k> {
         &self,
         at: [i32; 3],
         ticket: u64,
-        block: &mut Block,
-        samples: &mut BlockSamples,
+        (block, samples, relaxer): (&mut Block, &mut BlockSamples, Option<&mut Relaxer<'_>>),
         mut batch: Batch,
     ) -> Result<Batch> {
         let cells = self.blocks.cells_of(at, 0);
         self.blocks
             .gather(self.field, cells, usize::from(self.style.normals), samples)?;
-        self.field
-            .forget(self.blocks.done_with(cells, self.style.normals));
+        // Relaxing reads around the block again.
+        if relaxer.is_none() {
+            self.field
+                .forget(self.blocks.done_with(cells, self.style.normals));
+        }
         self.budget.progress().add(1);
         batch.visited += 1;
         if !block.scan(samples, &self.style) {
@@ -297,6 +303,10 @@ impl<'k> Sweep<'_, 'k> {
         let borrowed = std::array::from_fn(|a| at[a] > self.blocks.range.min[a]);
         let mut out = batch.spare.pop().unwrap_or_default();
         block.emit(samples, &self.style, borrowed, &mut batch.piece, &mut out);
+        if let Some(relaxer) = relaxer {
+            let range = out.first as usize..(out.first + out.count) as usize;
+            relaxer.relax(at, &mut batch.piece, range)?;
+        }
         batch.blocks.push((at, out));
         Ok(batch)
     }
@@ -398,6 +408,9 @@ impl Batch {
         let mut batch = Batch::default();
         let piece = &mut batch.piece;
         piece.positions.reserve_exact(PIECE_VERTICES);
+        piece
+            .unmoved
+            .reserve_exact(if style.relax > 0 { PIECE_VERTICES } else { 0 });
         piece.ids.reserve_exact(PIECE_VERTICES);
         piece.own.reserve_exact(PIECE_VERTICES);
         piece
@@ -424,6 +437,9 @@ impl Batch {
         self.extra = Some(budget.take(extra, "a block of dense surface")?);
         let piece = &mut self.piece;
         piece.positions.reserve_exact(vertices);
+        piece
+            .unmoved
+            .reserve_exact(if style.relax > 0 { vertices } else { 0 });
         piece.ids.reserve_exact(vertices);
         piece.own.reserve_exact(vertices);
         piece
@@ -439,6 +455,7 @@ impl Batch {
     fn reset(&mut self) {
         let piece = &mut self.piece;
         piece.positions.clear();
+        piece.unmoved.clear();
         piece.normals.clear();
         piece.keys.clear();
         piece.ids.clear();
@@ -446,6 +463,7 @@ impl Batch {
         piece.triangles.clear();
         if self.extra.is_some() {
             piece.positions.shrink_to(PIECE_VERTICES);
+            piece.unmoved.shrink_to(PIECE_VERTICES);
             piece.normals.shrink_to(PIECE_VERTICES);
             piece.keys.shrink_to(PIECE_VERTICES);
             piece.ids.shrink_to(PIECE_VERTICES);

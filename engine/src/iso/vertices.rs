@@ -14,13 +14,13 @@ pub(super) const AXIS_SHIFT: u32 = 18;
 #[derive(Clone, Copy)]
 pub(super) struct Edge {
     /// Lower point, from the first of the block.
-    point: [u32; 3],
-    axis: usize,
+    pub(super) point: [u32; 3],
+    pub(super) axis: usize,
 }
 
 impl Edge {
     #[inline(always)]
-    fn of(code: u32) -> Self {
+    pub(super) fn of(code: u32) -> Self {
         Self {
             point: [code & 63, code >> Y_SHIFT & 63, code >> Z_SHIFT & 63],
             axis: (code >> AXIS_SHIFT) as usize & 3,
@@ -29,7 +29,7 @@ impl Edge {
 
     /// Lattice point of the lower end.
     #[inline(always)]
-    fn lattice(self, origin: [i32; 3]) -> [i32; 3] {
+    pub(super) fn lattice(self, origin: [i32; 3]) -> [i32; 3] {
         let [i, j, k] = self.point;
         [
             origin[0] + i as i32,
@@ -63,7 +63,7 @@ impl Placed<'_> {
     }
 
     #[inline(always)]
-    fn crossing(&self, code: u32) -> (Edge, f32, usize) {
+    pub(super) fn crossing(&self, code: u32) -> (Edge, f32, usize) {
         let edge = Edge::of(code);
         let low = edge.sample(self.samples);
         let (a, b) = (

@@ -16,6 +16,7 @@ use super::block::{Block, BlockOutput, BlockSamples, Style};
 use super::blocks::Blocks;
 use super::cube::OTHER;
 use super::extract::Stats;
+use super::relax::Relaxer;
 use crate::budget::{Budget, Permit};
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -69,7 +70,10 @@ pub(super) fn walk(
     for &seed in seeds {
         walker.plant(seed)?;
     }
-    let mut scratch = Scratch::default();
+    let mut scratch = Scratch {
+        relaxer: Relaxer::new(field, blocks, style, budget),
+        ..Scratch::default()
+    };
     while let Some((_, (at, seeds))) = walker.pending.pop_first() {
         budget.check_cancelled()?;
         walker.visit(at, &seeds, &mut scratch)?;
@@ -87,13 +91,14 @@ pub(super) fn walk(
 }
 
 #[derive(Default)]
-struct Scratch {
+struct Scratch<'a> {
     samples: BlockSamples,
     block: Block,
     piece: Piece,
     output: BlockOutput,
     sheets: Sheets,
     wanted: Vec<bool>,
+    relaxer: Option<Relaxer<'a>>,
     memory: Option<Permit>,
 }
 
@@ -131,7 +136,7 @@ impl Walker<'_> {
     }
 
     /// Emits the sheets of a block that the front or a seed touches.
-    fn visit(&mut self, at: [i32; 3], seeds: &[[i32; 3]], s: &mut Scratch) -> Result<()> {
+    fn visit(&mut self, at: [i32; 3], seeds: &[[i32; 3]], s: &mut Scratch<'_>) -> Result<()> {
         let cells = self.blocks.cells_of(at, 0);
         self.blocks.gather(
             self.field,
@@ -155,6 +160,10 @@ impl Walker<'_> {
             &mut s.piece,
             &mut s.output,
         );
+        if let Some(relaxer) = &mut s.relaxer {
+            let range = 0..s.piece.positions.len();
+            relaxer.relax(at, &mut s.piece, range)?;
+        }
         s.sheets.of(&s.piece);
 
         s.wanted.clear();
@@ -183,7 +192,7 @@ impl Walker<'_> {
     }
 
     /// Keeps the wanted sheets of the piece, numbers their vertices and moves the front.
-    fn take_sheets(&mut self, at: [i32; 3], s: &mut Scratch) {
+    fn take_sheets(&mut self, at: [i32; 3], s: &mut Scratch<'_>) {
         let piece = &mut s.piece;
         let sheets = &mut s.sheets;
         let wanted = &s.wanted;

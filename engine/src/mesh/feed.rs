@@ -69,6 +69,7 @@ pub fn pieces(mesh: &Mesh, piece_triangles: usize) -> impl Iterator<Item = Piece
             first_vertex: own.start as u64,
             first_triangle: triangles.start as u64,
             positions: ids.iter().map(|&id| mesh.positions[id as usize]).collect(),
+            unmoved: Vec::new(),
             normals: pick(&mesh.normals),
             keys: ids
                 .iter()

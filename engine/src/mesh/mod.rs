@@ -25,7 +25,7 @@ pub use components::{Components, Kept, Which};
 pub use crossings::{Crossings, crossings};
 pub use feed::{feed, layout, pieces};
 pub use indexed::Mesh;
-pub use shapes::{PERCENTILES, SLIVER_DEG, Shapes, Spread, shapes};
+pub use shapes::{PERCENTILES, SLIVER_DEG, ShapeCount, Shapes, Spread, shapes};
 pub use sink::{Collect, Count, EdgeKey, LabelSink, Layout, MeshSink, Piece, Totals};
 pub use spool::{LabelSpool, Spool};
 pub use stored::{Examined, MeshSource, examine};

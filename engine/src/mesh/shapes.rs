@@ -50,9 +50,9 @@ pub fn shapes(mesh: &Mesh, budget: &Budget) -> Result<Shapes> {
     super::check::refuse_lost(mesh)?;
     const CHUNK: usize = 1 << 16;
     let next = AtomicUsize::new(0);
-    let total = Mutex::new(Count::default());
+    let total = Mutex::new(ShapeCount::default());
     let work = || -> Result<()> {
-        let mut count = Count::default();
+        let mut count = ShapeCount::default();
         loop {
             let start = next.fetch_add(1, Ordering::Relaxed) * CHUNK;
             let Some(rest) = mesh.triangles.get(start..).filter(|r| !r.is_empty()) else {
@@ -109,9 +109,12 @@ pub(super) fn shape(corners: &[[f32; 3]; 3]) -> [f64; 2] {
     [angle.min(60.0), ratio.min(1.0)]
 }
 
-/// Histograms of the triangles so far.
+/// Counts triangles one by one, in any order, for [`Shapes`].
+///
+/// # Memory
+/// 96 KB.
 #[derive(Clone, Debug)]
-pub(super) struct Count {
+pub struct ShapeCount {
     angles: Vec<u64>,
     ratios: Vec<u64>,
     least: [f64; 2],
@@ -119,7 +122,7 @@ pub(super) struct Count {
     measured: u64,
 }
 
-impl Default for Count {
+impl Default for ShapeCount {
     fn default() -> Self {
         Self {
             angles: vec![0; BINS + 1],
@@ -131,8 +134,9 @@ impl Default for Count {
     }
 }
 
-impl Count {
-    pub(super) fn add(&mut self, corners: &[[f32; 3]; 3]) {
+impl ShapeCount {
+    /// Counts a triangle, unless a corner is not finite.
+    pub fn add(&mut self, corners: &[[f32; 3]; 3]) {
         if !corners.iter().all(is_finite) {
             return;
         }
@@ -144,7 +148,8 @@ impl Count {
         self.measured += 1;
     }
 
-    pub(super) fn join(&mut self, other: &Self) {
+    /// Adds what `other` counted.
+    pub fn join(&mut self, other: &Self) {
         for (mine, theirs) in [
             (&mut self.angles, &other.angles),
             (&mut self.ratios, &other.ratios),
@@ -156,7 +161,8 @@ impl Count {
         self.measured += other.measured;
     }
 
-    pub(super) fn shapes(&self) -> Shapes {
+    /// The shapes of all that were counted.
+    pub fn shapes(&self) -> Shapes {
         let spread = |bins: &[u64], least: f64, highest: f64| {
             if self.measured == 0 {
                 return Spread::default();

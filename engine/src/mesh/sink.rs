@@ -48,6 +48,8 @@ pub struct Piece {
     pub first_triangle: u64,
     /// World position of each local vertex.
     pub positions: Vec<[f32; 3]>,
+    /// World position of each local vertex before it was moved for better triangles, or empty.
+    pub unmoved: Vec<[f32; 3]>,
     /// Unit normal of each local vertex, or empty.
     pub normals: Vec<[f32; 3]>,
     /// Key of each local vertex, or empty.
@@ -68,6 +70,7 @@ impl Piece {
     /// Bytes of the buffers.
     pub fn capacity_bytes(&self) -> u64 {
         (self.positions.capacity() * 12
+            + self.unmoved.capacity() * 12
             + self.normals.capacity() * 12
             + self.keys.capacity() * size_of::<EdgeKey>()
             + self.colors.capacity() * 3

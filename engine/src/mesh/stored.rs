@@ -14,7 +14,7 @@ use super::check::{Found, Report};
 use super::crossings::{Cells, Crossings, crossings_among};
 use super::joined::{root, unite};
 use super::measure::{self, BLOCK, Sums, is_finite};
-use super::shapes::{Count, Shapes};
+use super::shapes::{ShapeCount, Shapes};
 use super::slots::Slots;
 use crate::budget::{Budget, Permit};
 use crate::error::{Error, ErrorKind, Result};
@@ -375,7 +375,7 @@ struct Looked<'a> {
     ranges: &'a Ranges,
     cache_bytes: u64,
     sums: Vec<Sums>,
-    shapes: Count,
+    shapes: ShapeCount,
     /// Triangles, in the bucket of each range of vertices that they touch.
     buckets: Buckets<12>,
     /// Triangles that meet each cell.
@@ -391,7 +391,7 @@ impl<'a> Looked<'a> {
             ranges,
             cache_bytes: bytes,
             sums: Vec::with_capacity(blocks),
-            shapes: Count::default(),
+            shapes: ShapeCount::default(),
             buckets: Buckets::new(file, ranges.count(), bytes / 2),
             in_cells: Vec::new(),
             begins: 0,

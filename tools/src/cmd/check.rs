@@ -4,9 +4,8 @@ use super::{named, thousands};
 use crate::Outcome;
 use crate::args::Check;
 use crate::job::Job;
-use brickmarch::mesh::{
-    Examined, PERCENTILES, Report, SLIVER_DEG, Shapes, Spread, check, crossings, examine, shapes,
-};
+use crate::shapes::{shapes_json, spread};
+use brickmarch::mesh::{Examined, Report, SLIVER_DEG, check, crossings, examine, shapes};
 use brickmarch::{Budget, ErrorKind, Result};
 use brickmarch_formats as formats;
 use serde_json::{Value, json};
@@ -170,11 +169,6 @@ fn describe_triangles(found: &Examined) -> String {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "  {name:<12} {value}");
     };
-    let spread = |s: &Spread, digits: usize| {
-        let each = PERCENTILES.iter().zip(s.percentiles);
-        let each: Vec<String> = each.map(|(p, v)| format!("{v:.digits$} ({p} %)")).collect();
-        format!("{:.digits$} least, {}", s.least, each.join(", "))
-    };
     let shapes = &found.shapes;
     if shapes.measured > 0 {
         line("min angle", spread(&shapes.min_angle_deg, 2));
@@ -203,20 +197,6 @@ fn describe_triangles(found: &Examined) -> String {
         line("crossings", pairs);
     }
     text
-}
-
-fn shapes_json(shapes: &Shapes) -> Value {
-    let spread = |s: &Spread| {
-        let mut json = json!({ "least": s.least });
-        for (p, value) in PERCENTILES.iter().zip(s.percentiles) {
-            json[format!("p{p}")] = json!(value);
-        }
-        json
-    };
-    json!({
-        "min_angle_deg": spread(&shapes.min_angle_deg), "radius_ratio": spread(&shapes.radius_ratio),
-        "slivers": shapes.slivers, "sliver_deg": SLIVER_DEG, "measured": shapes.measured,
-    })
 }
 
 /// The report for programs.

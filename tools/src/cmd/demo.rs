@@ -1,7 +1,7 @@
 //! `demo`: the whole pipeline on a real scan and on a field that is larger than the memory allowed.
 
 use super::import::import_file;
-use super::mesh::{add_figures, count_work, pass};
+use super::mesh::{Passed, add_figures, count_work, pass};
 use super::slice;
 use super::{named, seconds, thousands};
 use crate::Outcome;
@@ -375,7 +375,7 @@ fn draw_mesh(
     let mut raster = Raster::new(&look, &bounds, budget)?;
     let count = || count_work(volume, options, budget);
     let ((stats, figures), seconds) = out.counted_step("mesh", count, || {
-        let (stats, figures) = pass(
+        let Passed { stats, figures, .. } = pass(
             volume,
             options,
             budget,

@@ -8,11 +8,12 @@ use crate::job::Job;
 use crate::output::{self, Replace};
 use crate::picture;
 use crate::render::{Raster, crossing_bounds, look};
+use crate::shapes::{self, ShapeTally};
 use crate::tally::{Figures, Tally};
 use crate::tee::Tee;
 use brickmarch::budget::human_bytes;
 use brickmarch::iso::{Boundary, Extract, Part, Stats, extract, extract_part};
-use brickmarch::mesh::{Components, Kept, Layout, Which};
+use brickmarch::mesh::{Components, Kept, Layout, Shapes, Which};
 use brickmarch::store::Volume;
 use brickmarch::{Box3, Budget, Error, ErrorKind, Field, Inside, Kind, MeshSink, Result};
 use serde_json::{Value, json};
@@ -57,8 +58,11 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
     let bytes_in = std::fs::metadata(&args.volume).map(|m| m.len()).ok();
     let bytes_out = std::fs::metadata(&args.out).map(|m| m.len()).ok();
     let Made {
-        stats,
-        figures,
+        passed: Passed {
+            stats,
+            figures,
+            shapes,
+        },
         kept,
         picture_bytes,
     } = made;
@@ -96,6 +100,7 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
         json["components_found"] = json!(kept.found);
         json["components_kept"] = json!(kept.kept);
     }
+    let text = text + &add_shapes(&mut json, shapes.as_ref());
     job.result(&text, &json)?;
     Ok(
         match pick::report_substituted(&volume, &args.volume, &job) {
@@ -164,6 +169,15 @@ pub(super) fn add_figures(json: &mut Value, stats: &Stats, figures: Option<&Figu
     if let (Some(to), Value::Object(from)) = (json.as_object_mut(), more) {
         to.extend(from);
     }
+}
+
+/// Shapes of the triangles, where they were counted, for programs and in words.
+pub(super) fn add_shapes(json: &mut Value, shapes: Option<&[Shapes; 2]>) -> String {
+    let Some(shapes) = shapes else {
+        return String::new();
+    };
+    json["shapes"] = shapes::json(shapes);
+    shapes::text(shapes)
 }
 
 /// A label that no sample has is a mistake that is better said at once.
@@ -235,6 +249,7 @@ fn options(args: &Mesh, field: &dyn Field) -> Result<Extract> {
         normals: args.normals || args.shot.picture.is_some(),
         keys: args.keys,
         index_space: args.space == Space::Index,
+        relax: args.smooth.relax(),
         allow_empty: args.allow_empty,
     })
 }
@@ -259,8 +274,7 @@ pub(super) fn cells(args: &Mesh, field: &dyn Field) -> Result<Option<Box3>> {
 
 /// A mesh that was written.
 struct Made {
-    stats: Stats,
-    figures: Option<Figures>,
+    passed: Passed,
     /// Where not all components were wanted.
     kept: Option<Kept>,
     picture_bytes: Option<u64>,
@@ -283,14 +297,21 @@ fn make(
         keys: args.keys,
     };
     let mut kept = None;
-    let (stats, figures) = {
+    let passed = {
         let _watch = job.watch_counted("meshing", || count_work(field, options, &job.budget))?;
         let raster = raster.as_mut().map(|r| r as &mut dyn MeshSink);
-        pour(file.as_mut(), wanted, raster, args.measure, |sink| {
-            let (stats, some) = extract_some(field, options, &job.budget, args, sink)?;
-            kept = some;
-            Ok(stats)
-        })?
+        let moved = options.relax > 0;
+        pour(
+            file.as_mut(),
+            wanted,
+            raster,
+            (args.measure, moved),
+            |sink| {
+                let (stats, some) = extract_some(field, options, &job.budget, args, sink)?;
+                kept = some;
+                Ok(stats)
+            },
+        )?
     };
     let mut picture_bytes = None;
     if let (Some(raster), Some(path)) = (raster, &args.shot.picture) {
@@ -298,11 +319,18 @@ fn make(
         picture_bytes = Some(picture.write_png(path, replace)?);
     }
     Ok(Made {
-        stats,
-        figures,
+        passed,
         kept,
         picture_bytes,
     })
+}
+
+/// What passed into the sinks.
+pub(super) struct Passed {
+    pub(super) stats: Stats,
+    pub(super) figures: Option<Figures>,
+    /// Before and after relaxation.
+    pub(super) shapes: Option<[Shapes; 2]>,
 }
 
 /// Extracts into a file, a tally if `measure`, and a picture if there is one, in one pass.
@@ -317,21 +345,24 @@ pub(super) fn pass(
     wanted: Layout,
     raster: Option<&mut dyn MeshSink>,
     measure: bool,
-) -> Result<(Stats, Option<Figures>)> {
-    pour(file, wanted, raster, measure, |sink| {
+) -> Result<Passed> {
+    let moved = options.relax > 0;
+    pour(file, wanted, raster, (measure, moved), |sink| {
         extract(field, options, budget, sink)
     })
 }
 
-/// The mesh that `make` makes, into a file, a tally and a picture.
+/// The mesh that `make` makes, into a file, a tally and a picture. Shapes are counted when its
+/// vertices have moved.
 fn pour(
     file: &mut dyn MeshSink,
     wanted: Layout,
     raster: Option<&mut dyn MeshSink>,
-    measure: bool,
+    (measure, moved): (bool, bool),
     make: impl FnOnce(&mut dyn MeshSink) -> Result<Stats>,
-) -> Result<(Stats, Option<Figures>)> {
+) -> Result<Passed> {
     let mut tally = Tally::default();
+    let mut shapes = (measure && moved).then(ShapeTally::default);
     let all = Layout {
         normals: true,
         keys: true,
@@ -341,12 +372,19 @@ fn pour(
     if measure {
         tee.add(&mut tally, all);
     }
+    if let Some(shapes) = &mut shapes {
+        tee.add(shapes, all);
+    }
     if let Some(raster) = raster {
         tee.add(raster, all);
     }
     let stats = make(&mut tee)?;
     drop(tee);
-    Ok((stats, measure.then(|| tally.figures())))
+    Ok(Passed {
+        stats,
+        figures: measure.then(|| tally.figures()),
+        shapes: shapes.map(ShapeTally::shapes),
+    })
 }
 
 /// Extracts into `sink` the components that are wanted.

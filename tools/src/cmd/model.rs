@@ -1,15 +1,14 @@
 //! `model`: a scene file into a volume, or directly into a mesh, with no file between.
 
-use super::mesh::{add_figures, count_work, crossed_blocks, open_raster, pass};
+use super::mesh::{Passed, add_figures, add_shapes, count_work, crossed_blocks, open_raster, pass};
 use super::{named, seconds, thousands};
 use crate::Outcome;
 use crate::args::Model as Args;
 use crate::job::Job;
 use crate::output::{self, Replace};
 use crate::picture;
-use crate::tally::Figures;
 use brickmarch::budget::human_bytes;
-use brickmarch::iso::{Extract, Stats};
+use brickmarch::iso::Extract;
 use brickmarch::mesh::{Layout, Piece, Totals};
 use brickmarch::model::{Convention, Model, NearSurface};
 use brickmarch::store::{VolumeInfo, VolumeSpec, write_field};
@@ -92,6 +91,7 @@ fn is_volume(args: &Args) -> bool {
 fn check_usage(args: &Args, to_volume: bool) -> Result<()> {
     let mesh_only = [
         ("--normals", args.normals),
+        ("--smooth", args.smooth.smooth.is_some()),
         ("--colors", args.colors),
         ("--picture", args.shot.picture.is_some()),
         ("--allow-empty", args.allow_empty),
@@ -226,6 +226,7 @@ fn mesh(
     let options = Extract {
         iso: model.convention().iso(),
         normals: args.normals || args.shot.picture.is_some(),
+        relax: args.smooth.relax(),
         allow_empty: args.allow_empty,
         ..Extract::default()
     };
@@ -246,7 +247,11 @@ fn mesh(
         normals: args.normals,
         keys: false,
     };
-    let (stats, figures): (Stats, Option<Figures>) = {
+    let Passed {
+        stats,
+        figures,
+        shapes,
+    } = {
         let _watch = job.watch_counted("meshing", || count_work(model, &options, &job.budget))?;
         let raster = raster.as_mut().map(|r| r as &mut dyn MeshSink);
         pass(
@@ -273,6 +278,7 @@ fn mesh(
         add(json, json!({"picture": path, "picture_bytes": bytes}));
     }
     add_figures(json, &stats, figures.as_ref());
+    add_shapes(json, shapes.as_ref());
     let figures = figures.unwrap_or_default();
     let edge = model.block_edge();
     let blocks: u64 = model

@@ -197,6 +197,7 @@ fn question(field: &dyn Field, options: &Extract, inside: u32) -> u32 {
         options.boundary as u8,
         options.index_space.into(),
         field.block_edge().min(255) as u8,
+        options.relax,
     ]);
     crc32c::crc32c(&bytes)
 }
