@@ -193,3 +193,55 @@ fn damage_is_an_error_unless_a_substitute_is_asked_for() {
         .count();
     assert!((1..=512).contains(&differ), "{differ} samples differ");
 }
+
+#[test]
+fn smoothing_says_what_it_did_and_bytes_stay_the_same() {
+    let scratch = scratch_with_raw("smooth");
+    ok(&scratch, &format!("import @field.raw @a.bvol {RAW}"));
+    ok(&scratch, "mesh @a.bvol @plain.ply -q");
+    let line = "mesh @a.bvol @m.ply --smooth quality --measure --overwrite --json -q";
+    let mut first: Option<Vec<u8>> = None;
+    for limits in [
+        "--threads 1 --mem 1GiB",
+        "--threads 2 --mem 24MiB",
+        "--threads 8 --mem 24MiB",
+    ] {
+        let said = ok(&scratch, &format!("{line} {limits}")).json();
+        let angle = |when: &str, which: &str| {
+            let number = &said["shapes"][when]["min_angle_deg"][which];
+            number.as_f64().unwrap_or_else(|| panic!("{said}"))
+        };
+        assert!(angle("before", "p1") < 5.0, "{said}");
+        assert!(angle("after", "least") >= 20.0, "{said}");
+        assert!(angle("after", "p1") >= 26.0 && angle("after", "p50") >= 42.0);
+        let ratio = &said["shapes"]["after"]["radius_ratio"]["p1"];
+        assert!(ratio.as_f64().is_some_and(|r| r > 0.4), "{said}");
+        let made = bytes(&scratch.path("m.ply"));
+        match &first {
+            None => first = Some(made),
+            Some(first) => assert!(*first == made, "{limits}: other bytes"),
+        }
+    }
+    let plain = bytes(&scratch.path("plain.ply"));
+    let first = first.expect("meshed");
+    assert_eq!(plain.len(), first.len());
+    // The triangles are the same records at the end of the file.
+    let tail = plain.len() / 2;
+    assert!(plain[tail..] == first[tail..], "triangles changed");
+    let check = ok(&scratch, "check @m.ply --json -q").json();
+    assert_eq!(check["sound"], true, "{check}");
+    let text = ok(
+        &scratch,
+        "mesh @a.bvol @m.ply --smooth quality --measure --overwrite",
+    );
+    assert!(text.stdout.contains("after: min angle"), "{text:#?}");
+    for wrong in [
+        "--passes 2",
+        "--smooth quality --passes 0",
+        "--smooth quality --passes 6",
+        "--smooth much",
+    ] {
+        let run = brickmarch(words(&scratch, &format!("mesh @a.bvol @n.ply {wrong} -q")));
+        assert_eq!(run.code, Some(2), "{wrong}: {run:#?}");
+    }
+}

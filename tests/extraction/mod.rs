@@ -9,6 +9,7 @@ mod laws;
 mod normals;
 mod oracle;
 mod parts;
+mod relaxed;
 mod seeds;
 mod tiles;
 mod world;

@@ -9,11 +9,11 @@ use brickmarch::mesh::EdgeKey;
 use brickmarch::{Box3, Budget, ErrorKind};
 use std::collections::BTreeMap;
 
-type Places = BTreeMap<EdgeKey, [u32; 3]>;
-type Triangles = Vec<[EdgeKey; 3]>;
+pub(super) type Places = BTreeMap<EdgeKey, [u32; 3]>;
+pub(super) type Triangles = Vec<[EdgeKey; 3]>;
 
 /// The mesh of a region by keys; triangles turned to begin at their least key, and sorted.
-fn keyed(field: &Dense, options: &Extract) -> (Places, Triangles) {
+pub(super) fn keyed(field: &Dense, options: &Extract) -> (Places, Triangles) {
     let mesh = match mesh_of(field, options, &Budget::mib(64)) {
         Ok((mesh, _)) => mesh,
         Err(e) if e.kind() == ErrorKind::EmptySurface => return Default::default(),
@@ -36,7 +36,7 @@ fn keyed(field: &Dense, options: &Extract) -> (Places, Triangles) {
     (places, triangles)
 }
 
-fn join(pieces: impl IntoIterator<Item = (Places, Triangles)>) -> (Places, Triangles) {
+pub(super) fn join(pieces: impl IntoIterator<Item = (Places, Triangles)>) -> (Places, Triangles) {
     let mut all = (Places::new(), Triangles::new());
     for (places, triangles) in pieces {
         for (key, place) in places {
