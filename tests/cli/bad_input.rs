@@ -9,7 +9,7 @@ use brickmarch::store::VolumeSpec;
 use brickmarch::{Box3, Grid, Kind, SampleType};
 
 /// What a refused command must be like.
-struct Case {
+pub(super) struct Case {
     /// Words of the command; `@name` is a file in scratch space.
     line: &'static str,
     /// The exit code: 1 bad input, 2 wrong usage, 3 not what was asked.
@@ -18,7 +18,7 @@ struct Case {
     says: &'static [&'static str],
 }
 
-const fn case(line: &'static str, code: i32, says: &'static [&'static str]) -> Case {
+pub(super) const fn case(line: &'static str, code: i32, says: &'static [&'static str]) -> Case {
     Case { line, code, says }
 }
 
@@ -59,7 +59,7 @@ fn assert_clean(run: &Run, code: i32, what: &str) {
 }
 
 /// Runs every case and reports all that fail, not just the first.
-fn check_all(scratch: &Scratch, cases: &[Case]) {
+pub(super) fn check_all(scratch: &Scratch, cases: &[Case]) {
     let before = scratch.listing();
     let failed: Vec<String> = cases
         .iter()
