@@ -63,6 +63,43 @@ pub fn export_volume(
     export_samples(volume.spec(), &read, region, path, options, budget)
 }
 
+/// The file that [`export_volume`] writes, for who sends it elsewhere.
+pub struct PlainParts {
+    /// What stands before the samples.
+    pub header: Vec<u8>,
+    /// Bytes of all samples.
+    pub sample_bytes: u64,
+    /// Bytes of the largest part.
+    pub part_bytes: u64,
+    /// Boxes whose samples, one after the other, are those of the region.
+    pub parts: Box<dyn Iterator<Item = Box3> + Send>,
+}
+
+/// The header of `format` and the parts of `region`, which must lie in the domain, each of at most
+/// `bytes_max` bytes or one row.
+pub fn plain_parts(
+    spec: &VolumeSpec,
+    region: Box3,
+    format: VolumeFormat,
+    bytes_max: u64,
+) -> PlainParts {
+    let slabs = Slabs::plan(spec, region, bytes_max);
+    PlainParts {
+        header: header_of(spec, region, format, false),
+        sample_bytes: region.count() * spec.sample.bytes() as u64,
+        part_bytes: slabs.bytes(),
+        parts: Box::new(slabs.parts()),
+    }
+}
+
+fn header_of(spec: &VolumeSpec, region: Box3, format: VolumeFormat, gzip: bool) -> Vec<u8> {
+    match format {
+        VolumeFormat::Npy => npy_header(spec.sample, region),
+        VolumeFormat::Nrrd => nrrd_header(spec, region, gzip),
+        _ => Vec::new(),
+    }
+}
+
 type ReadRaw<'a> = &'a dyn Fn(Box3, &mut [u8]) -> Result<()>;
 
 fn export_samples(
@@ -81,11 +118,7 @@ fn export_samples(
         )));
     }
     let format = format_of(path, options)?;
-    let header = match format {
-        VolumeFormat::Npy => npy_header(spec.sample, region),
-        VolumeFormat::Nrrd => nrrd_header(spec, region, options.gzip),
-        _ => Vec::new(),
-    };
+    let header = header_of(spec, region, format, options.gzip);
     let slabs = Slabs::plan(spec, region, budget.free_bytes() / 2);
     let _permit = budget.take(slabs.bytes(), "one slab of the export")?;
     let mut buffer = vec![0; slabs.bytes() as usize];
@@ -213,7 +246,7 @@ impl Slabs {
     }
 
     /// The parts in the order of the file.
-    fn parts(&self) -> impl Iterator<Item = Box3> {
+    fn parts(&self) -> impl Iterator<Item = Box3> + use<> {
         let Box3 { min, max } = self.region;
         let (rows, slices) = (self.rows as i32, self.slices as i32);
         let mut k = min[2];

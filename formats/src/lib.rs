@@ -35,7 +35,7 @@ mod shared_data;
 #[cfg(test)]
 mod testing;
 
-pub use export::{Export, Exported, export_volume};
+pub use export::{Export, Exported, PlainParts, export_volume, plain_parts};
 pub use loaded::Loaded;
 pub use mesh_file::{
     create_colored_mesh_sink, create_labelled_mesh_sink, create_mesh_sink, mesh_capacity,

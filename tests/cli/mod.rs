@@ -10,6 +10,7 @@ mod model;
 mod parts;
 mod pipeline;
 mod real_data;
+mod serve;
 mod signals;
 
 use crate::support::fields::sphere;

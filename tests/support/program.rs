@@ -185,11 +185,20 @@ pub(crate) fn limited(args: impl IntoIterator<Item = String>, kib: u32) -> Run {
 
 /// Starts `brickmarch` without waiting for it.
 pub(crate) fn start(args: impl IntoIterator<Item = String>) -> std::process::Child {
+    start_with(args, Stdio::null())
+}
+
+/// The same with its standard output in a pipe.
+pub(crate) fn start_piped(args: impl IntoIterator<Item = String>) -> std::process::Child {
+    start_with(args, Stdio::piped())
+}
+
+fn start_with(args: impl IntoIterator<Item = String>, stdout: Stdio) -> std::process::Child {
     let mut command = Command::new(binary("brickmarch-tools", "brickmarch"));
     command
         .args(args)
         .stdin(Stdio::null())
-        .stdout(Stdio::null())
+        .stdout(stdout)
         .stderr(Stdio::null());
     command
         .spawn()

@@ -50,6 +50,9 @@ pub(crate) enum Command {
     Slice(Slice),
     /// Run the tasks of a job file in one memory budget; run it again to go on after a stop
     Batch(Batch),
+    /// Serve volumes over HTTP: a page that shows them, slices, regions, meshes
+    #[cfg(feature = "serve")]
+    Serve(Serve),
     /// Print a completion script for a shell
     Completions(Completions),
     /// Write the manual pages into a folder
@@ -567,6 +570,25 @@ pub(crate) struct Batch {
     /// Print the plan, with the memory of each task and what is finished, and stop
     #[arg(long)]
     pub dry_run: bool,
+    #[command(flatten)]
+    pub run: Run,
+}
+
+#[cfg(feature = "serve")]
+#[derive(Args, Debug)]
+pub(crate) struct Serve {
+    /// Volume files; nothing else can be reached
+    #[arg(required = true)]
+    pub volumes: Vec<PathBuf>,
+    /// Address to listen on; port 0 takes a free one. Anyone who can reach it can read the volumes
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8400")]
+    pub listen: std::net::SocketAddr,
+    /// Largest region, slice or mesh in one answer
+    #[arg(long, value_name = "SIZE", default_value = "256MiB", value_parser = parse::size)]
+    pub max_region_bytes: u64,
+    /// Folder for meshes while they are sent [default: the system's folder for temporary files]
+    #[arg(long, value_name = "DIR")]
+    pub scratch: Option<PathBuf>,
     #[command(flatten)]
     pub run: Run,
 }

@@ -10,6 +10,8 @@ mod parse;
 mod picture;
 mod progress;
 mod render;
+#[cfg(feature = "serve")]
+mod serve;
 mod shapes;
 mod system;
 mod tally;
@@ -45,6 +47,8 @@ fn main() -> ExitCode {
         Command::Check(args) => cmd::check::run(args),
         Command::Slice(args) => cmd::slice::run(args),
         Command::Batch(args) => cmd::batch::run(args),
+        #[cfg(feature = "serve")]
+        Command::Serve(args) => serve::run(args),
         Command::Completions(args) => cmd::manual::completions(args),
         Command::Man(args) => cmd::manual::pages(args),
     };

@@ -36,22 +36,34 @@ impl Picture {
     /// When the file exists and may not be replaced, or cannot be written.
     pub(crate) fn write_png(&self, path: &Path, replace: Replace) -> Result<u64> {
         output::write_whole(path, replace, |file| {
-            let mut encoder = png::Encoder::new(file, self.width, self.height);
-            encoder.set_color(match self.channels {
-                1 => png::ColorType::Grayscale,
-                _ => png::ColorType::Rgb,
-            });
-            encoder.set_depth(png::BitDepth::Eight);
-            encoder.set_compression(png::Compression::High);
-            encoder.set_filter(png::Filter::Adaptive);
-            let as_io = |e: png::EncodingError| match e {
-                png::EncodingError::IoError(e) => e,
-                other => std::io::Error::other(other.to_string()),
-            };
-            let mut writer = encoder.write_header().map_err(as_io)?;
-            writer.write_image_data(&self.bytes).map_err(as_io)?;
-            writer.finish().map_err(as_io)
+            self.encode_png(file, png::Compression::High)
         })
+    }
+
+    /// Encodes as PNG.
+    ///
+    /// # Errors
+    /// When `out` cannot be written.
+    pub(crate) fn encode_png(
+        &self,
+        out: &mut dyn std::io::Write,
+        compression: png::Compression,
+    ) -> std::io::Result<()> {
+        let mut encoder = png::Encoder::new(out, self.width, self.height);
+        encoder.set_color(match self.channels {
+            1 => png::ColorType::Grayscale,
+            _ => png::ColorType::Rgb,
+        });
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(compression);
+        encoder.set_filter(png::Filter::Adaptive);
+        let as_io = |e: png::EncodingError| match e {
+            png::EncodingError::IoError(e) => e,
+            other => std::io::Error::other(other.to_string()),
+        };
+        let mut writer = encoder.write_header().map_err(as_io)?;
+        writer.write_image_data(&self.bytes).map_err(as_io)?;
+        writer.finish().map_err(as_io)
     }
 }
 

@@ -240,6 +240,12 @@ impl Volume {
         self.file.root.generation
     }
 
+    /// A number that tells files apart: the checksum of the 16 random bytes that each file starts
+    /// with, which its copies share. With [`generation`](Self::generation) it names what is shown.
+    pub fn file_mark(&self) -> u32 {
+        self.file.seed
+    }
+
     /// What reads do from now on where the file is damaged.
     pub fn set_on_damage(&mut self, policy: OnDamage) {
         self.damage.policy = policy;

@@ -129,7 +129,7 @@ pub(super) fn describe(info: &VolumeInfo, grid: &Grid) -> String {
 }
 
 /// The same for programs.
-pub(super) fn figures(info: &VolumeInfo, grid: &Grid) -> Value {
+pub(crate) fn figures(info: &VolumeInfo, grid: &Grid) -> Value {
     json!({
         "domain": { "min": info.domain.min, "max": info.domain.max },
         "size": info.domain.size(),

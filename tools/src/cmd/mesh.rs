@@ -466,7 +466,7 @@ fn dry_run(args: &Mesh, job: &Job, field: &dyn Field, options: &Extract) -> Resu
 }
 
 /// Blocks of `region` whose range holds the isovalue, found by halving.
-pub(super) fn crossed_blocks(
+pub(crate) fn crossed_blocks(
     field: &dyn Field,
     part: Box3,
     iso: f32,

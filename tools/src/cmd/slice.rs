@@ -82,7 +82,7 @@ fn nearest_slice(grid: &Grid, region: Box3, axis: usize, position: f64) -> i32 {
 }
 
 /// What a slice shows.
-pub(super) struct Options {
+pub(crate) struct Options {
     pub axis: usize,
     pub index: i32,
     pub window: Option<(f64, f64)>,
@@ -91,7 +91,7 @@ pub(super) struct Options {
 }
 
 /// A slice as a picture, and the window that it was shown in.
-pub(super) struct Drawn {
+pub(crate) struct Drawn {
     pub picture: Picture,
     pub window: (f64, f64),
 }
@@ -103,24 +103,13 @@ pub(super) struct Drawn {
 ///
 /// # Memory
 /// 8 bytes a sample of the slice and 3 a pixel.
-pub(super) fn draw(
+pub(crate) fn draw(
     field: &dyn Field,
     region: Box3,
     options: &Options,
     budget: &Budget,
 ) -> Result<Drawn> {
-    let (axis, index) = (options.axis, options.index);
-    if index < region.min[axis] || index >= region.max[axis] {
-        return Err(Error::bad_input(format!(
-            "slice {} = {index} is outside of {}..{}",
-            ["x", "y", "z"][axis],
-            region.min[axis],
-            region.max[axis]
-        )));
-    }
-    let mut plane = region;
-    plane.min[axis] = index;
-    plane.max[axis] = index + 1;
+    let plane = plane(region, options)?;
     let samples = plane.count();
     let _permit = budget.take(
         samples.saturating_mul(8),
@@ -133,11 +122,59 @@ pub(super) fn draw(
         Some(window) => window,
         None => percentiles(&values),
     };
-    let [across, down] = [[1, 2], [0, 2], [0, 1]][axis];
-    let size = [plane.size()[across] as usize, plane.size()[down] as usize];
-    let spacing = field.grid().index_to_world.spacing();
-    let fine = spacing[across].min(spacing[down]);
-    let pixels = [across, down].map(|a| {
+    let size = sides(options.axis).map(|a| plane.size()[a] as usize);
+    let pixels = pixels(field.grid(), plane, options)?;
+    let _paper = budget.take(
+        u64::from(pixels[0]) * u64::from(pixels[1]) * 3,
+        "the picture (a smaller --scale takes less)",
+    )?;
+    let look = Pen {
+        values: &values,
+        size,
+        window,
+        map: options.map,
+        up: options.axis != 2,
+    };
+    Ok(Drawn {
+        picture: look.paint(pixels),
+        window,
+    })
+}
+
+/// The axes to the right and down (or up) of a slice across `axis`.
+fn sides(axis: usize) -> [usize; 2] {
+    [[1, 2], [0, 2], [0, 1]][axis]
+}
+
+/// The samples of a slice of `region`.
+///
+/// # Errors
+/// When the slice is not in the region.
+pub(crate) fn plane(region: Box3, options: &Options) -> Result<Box3> {
+    let (axis, index) = (options.axis, options.index);
+    if index < region.min[axis] || index >= region.max[axis] {
+        return Err(Error::bad_input(format!(
+            "slice {} = {index} is outside of {}..{}",
+            ["x", "y", "z"][axis],
+            region.min[axis],
+            region.max[axis]
+        )));
+    }
+    let mut plane = region;
+    plane.min[axis] = index;
+    plane.max[axis] = index + 1;
+    Ok(plane)
+}
+
+/// Size of the picture of a plane, by the spacing of the samples.
+///
+/// # Errors
+/// When it has a side that is too long.
+pub(crate) fn pixels(grid: &Grid, plane: Box3, options: &Options) -> Result<[u32; 2]> {
+    let spacing = grid.index_to_world.spacing();
+    let sides = sides(options.axis);
+    let fine = spacing[sides[0]].min(spacing[sides[1]]);
+    let pixels = sides.map(|a| {
         (f64::from(plane.size()[a]) * spacing[a] / fine * options.scale)
             .round()
             .max(1.0)
@@ -148,22 +185,7 @@ pub(super) fn draw(
             pixels[0], pixels[1]
         )));
     }
-    let pixels = pixels.map(|p| p as u32);
-    let _paper = budget.take(
-        u64::from(pixels[0]) * u64::from(pixels[1]) * 3,
-        "the picture (a smaller --scale takes less)",
-    )?;
-    let look = Pen {
-        values: &values,
-        size,
-        window,
-        map: options.map,
-        up: axis != 2,
-    };
-    Ok(Drawn {
-        picture: look.paint(pixels),
-        window,
-    })
+    Ok(pixels.map(|p| p as u32))
 }
 
 /// Reads the plane block by block, so that a large one can be stopped.
