@@ -8,7 +8,7 @@ use std::path::PathBuf;
 const EXIT_CODES: &str = "\
 Exit codes: 0 done; 1 failed or bad input; 2 wrong usage; 3 finished, but the result is not what was
 asked (check: the mesh is open or not a 2-manifold; verify: the file is damaged); 130 and 143 stopped
-by SIGINT and SIGTERM.
+by SIGINT and SIGTERM (serve ends so with 0, when the requests that ran are answered).
 
 Results go to standard output, progress and messages to standard error.";
 

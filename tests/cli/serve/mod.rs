@@ -1,5 +1,6 @@
 //! `serve`: what it answers, what it refuses, what it takes, and how it ends.
 
+mod browser;
 mod client;
 mod hostile;
 mod load;

@@ -54,7 +54,14 @@ impl From<Error> for Refusal {
             ErrorKind::EmptySurface => StatusCode::UNPROCESSABLE_ENTITY,
             ErrorKind::LimitExceeded => StatusCode::PAYLOAD_TOO_LARGE,
             ErrorKind::BudgetExceeded | ErrorKind::Cancelled => StatusCode::SERVICE_UNAVAILABLE,
-            _ => StatusCode::INTERNAL_SERVER_ERROR,
+            kind => {
+                // The message names a file of this machine, which is nobody's business elsewhere.
+                crate::job::message(&format!("brickmarch: {error}"));
+                return Refusal::new(
+                    StatusCode::INTERNAL_SERVER_ERROR,
+                    format!("the volume cannot be read ({kind:?}); the server has said more"),
+                );
+            }
         };
         Refusal::new(status, error.to_string())
     }

@@ -6,8 +6,7 @@
 
 use super::refusal::Refusal;
 use brickmarch::store::Volume;
-use brickmarch::{Budget, Error, Permit, Result};
-use hyper::StatusCode;
+use brickmarch::{Budget, Permit, Result};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -138,11 +137,11 @@ impl Shelf {
         let entry = &self.entries[place];
         let budget = Budget::bytes(share.bytes()).with_threads(self.budget.threads());
         let file = file_number(&entry.path);
-        let volume = Volume::open_named(&entry.path, &entry.inner, &budget).map_err(hidden)?;
+        let volume = Volume::open_named(&entry.path, &entry.inner, &budget)?;
         let volume = if level == 0 {
             volume
         } else if level <= volume.levels() {
-            volume.level(level).map_err(hidden)?
+            volume.level(level)?
         } else {
             return Err(Refusal::bad(format!(
                 "no level {level}: the coarsest is {}",
@@ -206,14 +205,6 @@ impl Shown {
             env!("CARGO_PKG_VERSION")
         )
     }
-}
-
-/// The error without the path of the file, which is nobody's business.
-fn hidden(error: Error) -> Refusal {
-    Refusal::new(
-        StatusCode::INTERNAL_SERVER_ERROR,
-        format!("the volume cannot be opened: {:?}", error.kind()),
-    )
 }
 
 #[cfg(unix)]
