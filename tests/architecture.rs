@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules of the engine and what each may use beside itself.
-const MAY_USE: [(&str, &[&str]); 11] = [
+const MAY_USE: [(&str, &[&str]); 12] = [
     ("cpu", &[]),
     ("error", &[]),
     ("budget", &["error"]),
@@ -25,6 +25,7 @@ const MAY_USE: [(&str, &[&str]); 11] = [
         &["cpu", "error", "budget", "lattice", "sample", "field"],
     ),
     ("model", &["error", "lattice", "sample", "field"]),
+    ("query", &["error", "budget", "lattice", "sample", "field"]),
     (
         "raw_file",
         &["error", "budget", "lattice", "sample", "field"],

@@ -5,6 +5,9 @@ use crate::error::{Error, Result};
 use crate::lattice::{Box3, Grid};
 use crate::sample::Kind;
 
+mod pin;
+pub use pin::Pin;
+
 /// Smallest and largest value in a box, NaN aside, and whether there may be a NaN.
 ///
 /// A range is *conservative*: it may be wider than the truth, never narrower. -0 counts as below +0,
@@ -134,6 +137,26 @@ pub trait Field: Sync {
     /// # Errors
     /// What the source of the samples reports.
     fn range(&self, region: Box3) -> Result<Range>;
+
+    /// Holds the samples of the block around `point`, which lies in the domain, for somebody who wants
+    /// single ones of them.
+    ///
+    /// # Errors
+    /// What the source of the samples reports.
+    ///
+    /// # Memory
+    /// At most a block of `block_edge` samples as f32, for which the caller has a permit; volumes
+    /// hold the brick in their cache instead.
+    fn pin(&self, point: [i32; 3]) -> Result<Pin> {
+        let (domain, edge) = (self.grid().domain, self.block_edge());
+        let low = domain.local(point).map(|v| v / edge * edge);
+        let min: [i32; 3] = std::array::from_fn(|a| domain.min[a].wrapping_add_unsigned(low[a]));
+        let max = min.map(|v| v.saturating_add_unsigned(edge));
+        let region = Box3::new(min, max).intersect(&domain);
+        let mut values = vec![0.0; region.count() as usize];
+        self.read(region, &mut Samples::dense(&mut values, region))?;
+        Ok(Pin::values(region, values))
+    }
 
     /// Tells the source that `region` will not be read again soon. A hint.
     fn forget(&self, _region: Box3) {}

@@ -12,6 +12,7 @@ pub mod iso;
 pub mod lattice;
 pub mod mesh;
 pub mod model;
+pub mod query;
 pub mod raw_file;
 pub mod sample;
 pub mod store;

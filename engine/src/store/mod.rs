@@ -39,6 +39,7 @@ mod meta;
 mod open;
 mod page;
 mod patch;
+mod pin;
 mod ranges;
 #[cfg(test)]
 mod reader_tests;

@@ -20,7 +20,7 @@ use super::verify::Problem;
 use super::writer::{info_of, rules_of};
 use crate::budget::{Budget, Permit};
 use crate::error::{Error, ErrorKind, Result};
-use crate::field::{Field, Range, Samples};
+use crate::field::{Field, Pin, Range, Samples};
 use crate::lattice::{Box3, Grid, morton_encode};
 use crate::sample::{Kind, SampleType};
 use std::fs::File;
@@ -390,7 +390,7 @@ impl Volume {
 
     /// What the octree says about a brick, and its range where that is a child; `cursor` remembers
     /// the last page above bricks.
-    fn locate(
+    pub(super) fn locate(
         &self,
         brick: [u32; 3],
         cursor: &mut Option<cache::Ref<Page>>,
@@ -459,7 +459,7 @@ impl Volume {
             .error(ErrorKind::Damaged, format!("{place}: {what}"))
     }
 
-    fn brick(&self, brick: [u32; 3], reference: Ref) -> Result<cache::Ref<Vec<u8>>> {
+    pub(super) fn brick(&self, brick: [u32; 3], reference: Ref) -> Result<cache::Ref<Vec<u8>>> {
         let bytes = self.rules.brick_bytes as usize;
         let key = (reference.offset, morton_encode(brick));
         self.bricks.get(key, bytes as u64, || {
@@ -619,6 +619,10 @@ impl Field for Volume {
 
     fn range(&self, region: Box3) -> Result<Range> {
         Ok(self.key_range(region)?.to_range(self.spec.sample))
+    }
+
+    fn pin(&self, point: [i32; 3]) -> Result<Pin> {
+        self.pin_brick(point)
     }
 
     fn forget(&self, region: Box3) {
