@@ -157,18 +157,26 @@ impl Reply {
 }
 
 /// A client that keeps its connection.
-pub(crate) struct Keeper {
+pub(crate) struct Keeper<'a> {
+    server: &'a Server,
     socket: BufReader<TcpStream>,
+    used: Instant,
 }
 
-impl Keeper {
-    pub(crate) fn new(server: &Server) -> Keeper {
+impl Keeper<'_> {
+    pub(crate) fn new(server: &Server) -> Keeper<'_> {
         Keeper {
+            server,
             socket: BufReader::new(server.connect()),
+            used: Instant::now(),
         }
     }
 
     pub(crate) fn get(&mut self, path: &str) -> Reply {
+        if self.used.elapsed() > Duration::from_secs(2) {
+            // The server may be closing what was idle for so long.
+            self.socket = BufReader::new(self.server.connect());
+        }
         let text = format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
         self.socket
             .get_mut()
@@ -188,6 +196,7 @@ impl Keeper {
         let start = head.len();
         head.resize(start + length.unwrap_or(0), 0);
         self.socket.read_exact(&mut head[start..]).expect("a body");
+        self.used = Instant::now();
         Reply::parse(&head).0
     }
 }

@@ -9,6 +9,7 @@ use crate::support::scratch::Scratch;
 use brickmarch::store::Volume;
 use brickmarch::{Box3, Budget, Field};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 const CLIENTS: u64 = 8;
@@ -84,6 +85,67 @@ fn eight_clients_inside_one_budget() {
         at(50),
         at(99),
         times.len() as f64 / took.as_secs_f64(),
+        peak.map_or("unknown".to_string(), |p| (p >> 20).to_string()),
+        MEM >> 20,
+        OVERHEAD >> 20,
+    ));
+    if let Some(peak) = peak {
+        assert!(peak <= MEM + OVERHEAD, "peak {peak}");
+    }
+}
+
+/// Surfaces, slices and regions at one time, in the smallest budget: each is answered or told to come
+/// again, and the memory holds.
+#[test]
+fn all_kinds_of_requests_at_one_time() {
+    let scratch = super::gyroid("serve-kinds", 64);
+    let server = Server::start(&scratch, &format!("@g.bvol @flat.bvol --mem {MEM}"));
+    let rounds = if size().0 == 1024 { 40 } else { 2 };
+    let kinds = [
+        "/api/volumes/g/preview?iso=0.5",
+        "/api/volumes/g/mesh?iso=-0.5&level=1&format=stl",
+        "/api/volumes/flat/mesh?iso=0",
+        "/api/volumes/flat/preview?iso=1&size=600x500&view=200,-40",
+        "/api/volumes/g/slice?axis=x&at=40&scale=7&map=inferno",
+        "/api/volumes/flat/slice?axis=y&at=3",
+        "/api/volumes/g/slice?axis=z&level=2&scale=9",
+        "/api/volumes/flat/region?min=0,0,0&max=64,64,64",
+        "/api/volumes/g/region?min=1,1,1&max=32,31,30&level=1&format=npy",
+        "/api/volumes/g/value?at=1,2,3&level=2",
+        "/api/volumes/flat",
+    ];
+    let expected = kinds.map(|path| server.get(path).ok().body);
+    let busy = AtomicU64::new(0);
+    std::thread::scope(|scope| {
+        for client in 0..CLIENTS {
+            let (server, busy, expected) = (&server, &busy, &expected);
+            scope.spawn(move || {
+                let mut rng = Rng::new(900 + client);
+                let mut keeper = Keeper::new(server);
+                for _ in 0..rounds {
+                    let kind = rng.below(kinds.len() as u64) as usize;
+                    let begun = Instant::now();
+                    loop {
+                        let reply = keeper.get(kinds[kind]);
+                        if reply.status == 503 {
+                            assert_eq!(reply.header("retry-after"), Some("1"));
+                            busy.fetch_add(1, Ordering::Relaxed);
+                            let waited = begun.elapsed();
+                            assert!(waited < Duration::from_secs(60), "{} never", kinds[kind]);
+                            std::thread::sleep(Duration::from_millis(50));
+                            continue;
+                        }
+                        assert!(reply.ok().body == expected[kind], "{}", kinds[kind]);
+                        break;
+                    }
+                }
+            });
+        }
+    });
+    let peak = server.memory("VmHWM");
+    figure(&format!(
+        "serve: all kinds of requests by {CLIENTS} clients: {} times told to come again, peak {} MiB of {} + {}",
+        busy.into_inner(),
         peak.map_or("unknown".to_string(), |p| (p >> 20).to_string()),
         MEM >> 20,
         OVERHEAD >> 20,

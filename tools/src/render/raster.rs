@@ -34,6 +34,14 @@ pub(crate) struct Raster {
 }
 
 impl Raster {
+    /// Memory that drawing and shading take at most.
+    #[cfg(feature = "serve")]
+    pub(crate) fn memory_bytes(look: &Look) -> u64 {
+        let pixels = u64::from(look.width) * u64::from(look.height);
+        let fine = pixels * (SUPER * SUPER) as u64;
+        fine * 9 + pixels * 3 + (LIGHT_EDGE * LIGHT_EDGE * 4) as u64
+    }
+
     /// A picture of what lies in `bounds`.
     ///
     /// # Errors

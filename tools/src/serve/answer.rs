@@ -11,6 +11,7 @@ use crate::args::{Axis, MapName};
 use crate::cmd::{info, slice};
 use crate::parse;
 use crate::picture::Picture;
+use crate::render::Look;
 use brickmarch::{Box3, Budget, Field, Kind, Permit, SampleType};
 use brickmarch_formats::VolumeFormat;
 use hyper::body::{Body, Incoming};
@@ -29,8 +30,9 @@ const PAGE_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style
 const WINDOW: HeaderName = HeaderName::from_static("x-brickmarch-window");
 /// The level of detail that was taken.
 const LEVEL: HeaderName = HeaderName::from_static("x-brickmarch-level");
-/// Parts of regions that are read at one time: more does not make it faster, less is enough.
-const PART_BYTES: [u64; 4] = [16 << 20, 4 << 20, 1 << 20, 256 << 10];
+/// Parts of regions that are read at one time: the largest that leaves most of the memory to others.
+const PART_BYTES: [u64; 4] = [16 << 20, 4 << 20, 1 << 20, PART_BYTES_MIN];
+const PART_BYTES_MIN: u64 = 256 << 10;
 /// Edge that a preview is drawn at, unless another level is asked for.
 const PREVIEW_EDGE: u32 = 256;
 
@@ -161,18 +163,22 @@ async fn part_of(site: &Arc<Site>, shown: Arc<Shown>, part: Part, query: Query) 
         Part::Value => work(move || value(&shown, &query)).await,
         Part::Mesh | Part::Preview => {
             let surface = Surface::of(&query)?;
+            let picture = match part {
+                Part::Preview => Some(surface::look(&query)?),
+                _ => None,
+            };
+            let bytes = surface::memory(picture.as_ref(), site.budget.memory_bytes())?;
             let Ok(turn) = site.surfaces.acquire().await else {
                 return Err(Refusal::busy());
             };
-            // A share of its own: meshing takes what it gets, and other requests go on.
-            let bytes = site.budget.memory_bytes() / 4;
+            // A share of its own, so that it never takes what others were promised.
             let share = site.budget.try_take(bytes).ok_or_else(Refusal::busy)?;
             let budget = Budget::bytes(bytes).with_threads(site.budget.threads());
             let gone = CancelOnDrop(budget.cancel_token());
             let (inner, share) = (site.clone(), Arc::new(share));
-            let answer = work(move || match part {
-                Part::Mesh => mesh(&inner, &shown, &surface, &query, &budget, &share),
-                _ => preview(&inner, &shown, &surface, &query, &budget),
+            let answer = work(move || match picture {
+                None => mesh(&inner, &shown, &surface, &query, &budget, &share),
+                Some(look) => preview(&inner, &shown, &surface, &look, &budget),
             })
             .await;
             drop((gone, turn));
@@ -277,7 +283,9 @@ fn region(site: &Site, shown: Arc<Shown>, query: &Query) -> Answer {
         .iter()
         .find_map(|&most| {
             let plan = brickmarch_formats::plain_parts(spec, region, format, most);
-            let permit = site.budget.try_take(2 * (plan.part_bytes + 4096))?;
+            let bytes = 2 * (plan.part_bytes + 4096);
+            let modest = bytes <= site.budget.free_bytes() / 4 || most == PART_BYTES_MIN;
+            let permit = modest.then(|| site.budget.try_take(bytes)).flatten()?;
             Some((plan, Arc::new(permit)))
         })
         .ok_or_else(Refusal::busy)?;
@@ -447,15 +455,8 @@ async fn preview_level(site: &Arc<Site>, name: &str) -> Result<u8, Refusal> {
 }
 
 /// A shaded picture of a surface.
-fn preview(
-    site: &Site,
-    shown: &Shown,
-    surface: &Surface,
-    query: &Query,
-    budget: &Budget,
-) -> Answer {
-    let look = surface::look(query)?;
-    let picture = surface.picture(shown, &look, budget)?;
+fn preview(site: &Site, shown: &Shown, surface: &Surface, look: &Look, budget: &Budget) -> Answer {
+    let picture = surface.picture(shown, look, budget)?;
     let paper = picture.bytes.len() as u64;
     let png_max = paper + paper / 64 + (64 << 10);
     let permit = site.budget.try_take(png_max).ok_or_else(Refusal::busy)?;

@@ -78,7 +78,11 @@ impl Surface {
                 "the surface is too large for one answer: take a coarser level, or a region",
             ));
         }
-        work(field, &options).map_err(Refusal::from)
+        work(field, &options).map_err(|e| match e.kind() {
+            // Nobody else uses this share: coming again would not help.
+            ErrorKind::BudgetExceeded => Refusal::large(format!("{e}, or take a coarser level")),
+            _ => Refusal::from(e),
+        })
     }
 
     /// Writes the mesh to `path`.
@@ -150,6 +154,21 @@ pub(super) fn look(query: &Query) -> Result<Look, Refusal> {
             .unwrap_or(Look::default().colour),
         ..Look::default()
     })
+}
+
+/// Memory that a surface gets while it is made: for a picture of this look, and for meshing.
+///
+/// # Errors
+/// 413 when the picture alone would take too much of `all`.
+pub(super) fn memory(look: Option<&Look>, all: u64) -> Result<u64, Refusal> {
+    let picture = look.map_or(0, Raster::memory_bytes);
+    let share = (picture + all / 8).max(all / 4);
+    if share > all / 8 * 3 {
+        return Err(Refusal::large(
+            "a picture of this size takes too much of the memory: ask for a smaller one",
+        ));
+    }
+    Ok(share)
 }
 
 /// Cancels the work of a client that has gone.
