@@ -3,6 +3,7 @@
 use super::build::default_attribute;
 use super::graph::{Graph, Id};
 use super::interval::Interval;
+use super::planes::PLANE;
 use super::shape::{Convention, Shape};
 use super::tape::{BATCH, Room, Tape};
 use crate::error::{Error, Result};
@@ -353,41 +354,32 @@ impl Field for Model {
     }
 
     fn read(&self, region: Box3, out: &mut Samples<'_>) -> Result<()> {
-        let [nx, ny, nz] = region.size().map(|n| n as usize);
+        let nx = region.size()[0] as usize;
         // A model whose leaf is a model would find the room taken: it then makes its own.
         let mut room = ROOM.take();
         let tape = self.tape_for(region, &mut room)?;
         tape.range(self.cube(region), &mut room)?;
         let pruned = tape.prune(&room);
         let tape = pruned.as_ref().unwrap_or(&tape);
-        self.samples
-            .fetch_add((nx * ny * nz) as u64, Ordering::Relaxed);
+        self.samples.fetch_add(region.count(), Ordering::Relaxed);
         self.blocks.fetch_add(1, Ordering::Relaxed);
-        // Whole rows, as many as fit a batch.
-        let rows = (BATCH / nx).max(1);
-        let row_x: Vec<f64> = (0..nx)
-            .map(|i| self.world(0, region.min[0] + i as i32))
-            .collect();
-        let x: Vec<f64> = row_x.iter().copied().cycle().take(nx * rows).collect();
-        let (mut y, mut z) = (vec![0.0; x.len()], vec![0.0; x.len()]);
-        let mut values = vec![0.0; x.len()];
-        for first in (0..ny * nz).step_by(rows) {
-            let these = first..(first + rows).min(ny * nz);
-            let n = these.len() * nx;
-            for (slot, row) in these.clone().enumerate() {
-                let (j, k) = (row % ny, row / ny);
-                let part = slot * nx..(slot + 1) * nx;
-                y[part.clone()].fill(self.world(1, region.min[1] + j as i32));
-                z[part].fill(self.world(2, region.min[2] + k as i32));
-            }
-            tape.values([&x[..n], &y[..n], &z[..n]], &mut values[..n], &mut room)?;
-            for (slot, row) in these.enumerate() {
-                let target = out.row_mut(row % ny, row / ny, nx);
-                let source = &values[slot * nx..(slot + 1) * nx];
-                for (o, &v) in target.iter_mut().zip(source) {
-                    *o = self.sample(v);
+        let along = |a: usize| -> Vec<f64> {
+            (region.min[a]..region.max[a])
+                .map(|i| self.world(a, i))
+                .collect()
+        };
+        let [xs, ys, zs] = [0, 1, 2].map(along);
+        for first in (0..nx).step_by(PLANE) {
+            let xs = &xs[first..(first + PLANE).min(nx)];
+            let planes = &mut room.planes;
+            tape.block([xs, &ys, &zs], planes, |row, k, values| {
+                for (j, values) in values.chunks(xs.len()).enumerate() {
+                    let target = &mut out.row_mut(row + j, k, nx)[first..];
+                    for (o, &v) in target.iter_mut().zip(values) {
+                        *o = self.sample(v);
+                    }
                 }
-            }
+            })?;
         }
         ROOM.replace(room);
         Ok(())

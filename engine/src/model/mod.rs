@@ -27,6 +27,7 @@ mod interval;
 mod near;
 mod number;
 mod oracle;
+mod planes;
 mod primitive;
 mod profile;
 mod sampled;

@@ -22,7 +22,7 @@ const NO_REGISTER: u32 = u32::MAX;
 /// Operations in order; the last one is the value.
 #[derive(Clone, Debug)]
 pub(super) struct Tape {
-    ops: Vec<Op>,
+    pub(super) ops: Vec<Op>,
     /// Where the values of an operation go.
     registers: Vec<u32>,
     register_count: usize,
@@ -33,6 +33,7 @@ pub(super) struct Tape {
 #[derive(Debug, Default)]
 pub(super) struct Room {
     rows: Vec<Vec<f64>>,
+    pub(super) planes: super::planes::Planes,
     intervals: Vec<Interval>,
     slopes: Vec<Slope>,
 }
@@ -235,23 +236,41 @@ impl Tape {
             }
             // Taken out, so that the others can be read meanwhile; never one of the operands.
             let mut row = std::mem::take(&mut rows[register as usize]);
-            let done = self.one(op, point, &mut row[..n], rows);
+            let done = self.apply(op, |id| self.operand(id, point, rows, n), &mut row[..n]);
             rows[register as usize] = row;
             done?;
         }
-        self.one(last, point, out, rows)
+        if let Op::Axis(a) = last {
+            out.copy_from_slice(&point[a as usize][..n]);
+        }
+        self.apply(last, |id| self.operand(id, point, rows, n), out)
     }
 
-    fn one(&self, op: Op, point: [&[f64]; 3], out: &mut [f64], rows: &[Vec<f64>]) -> Result<()> {
-        let n = out.len();
-        let operand = |id: Id| match self.ops[id as usize] {
+    fn operand<'a>(
+        &self,
+        id: Id,
+        point: [&'a [f64]; 3],
+        rows: &'a [Vec<f64>],
+        n: usize,
+    ) -> Operand<'a> {
+        match self.ops[id as usize] {
             Op::Const(bits) => Operand::Value(f64::from_bits(bits)),
             Op::Axis(a) => Operand::Row(&point[a as usize][..n]),
             _ => Operand::Row(&rows[self.registers[id as usize] as usize][..n]),
-        };
+        }
+    }
+
+    /// One operation over a row of points.
+    pub(super) fn apply<'a>(
+        &self,
+        op: Op,
+        operand: impl Fn(Id) -> Operand<'a>,
+        out: &mut [f64],
+    ) -> Result<()> {
         match op {
             Op::Const(bits) => out.fill(f64::from_bits(bits)),
-            Op::Axis(a) => out.copy_from_slice(&point[a as usize][..n]),
+            // Asked only where the value of a tape is a coordinate.
+            Op::Axis(_) => {}
             Op::Unary(f, a) => unary_row(f, operand(a), out),
             Op::Binary(f, a, b) => binary_row(f, operand(a), operand(b), out),
             Op::Oracle(number, p) => {
@@ -259,7 +278,7 @@ impl Tape {
                 for (copy, id) in spread.iter_mut().zip(p) {
                     *copy = match operand(id) {
                         Operand::Row(row) => row.to_vec(),
-                        Operand::Value(v) => vec![v; n],
+                        Operand::Value(v) => vec![v; out.len()],
                     };
                 }
                 let [x, y, z] = &spread;
@@ -303,7 +322,7 @@ fn allocate(ops: &[Op]) -> (Vec<u32>, usize) {
 }
 
 /// Values of an operand: one for each point, or one for all.
-enum Operand<'a> {
+pub(super) enum Operand<'a> {
     Row(&'a [f64]),
     Value(f64),
 }
