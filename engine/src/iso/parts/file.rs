@@ -20,6 +20,7 @@ const MAX_RECORD: u32 = 1 << 28;
 pub(super) struct PartWriter<'a> {
     out: &'a mut (dyn Write + Send),
     name: &'a Path,
+    layout: Layout,
     payload: Vec<u8>,
     records: u32,
 }
@@ -41,6 +42,7 @@ impl<'a> PartWriter<'a> {
         let mut writer = Self {
             out,
             name,
+            layout: head.layout,
             payload: Vec::new(),
             records: 0,
         };
@@ -91,7 +93,13 @@ impl<'a> PartWriter<'a> {
         for v in piece.positions.iter().chain(&piece.normals).flatten() {
             p.extend(v.to_le_bytes());
         }
-        for key in &piece.keys {
+        // Whoever moves vertices knows them by key, wanted or not.
+        let keys = if self.layout.keys {
+            &piece.keys[..]
+        } else {
+            &[]
+        };
+        for key in keys {
             key.point.iter().for_each(|v| p.extend(v.to_le_bytes()));
             p.push(key.axis);
         }
