@@ -245,3 +245,49 @@ fn smoothing_says_what_it_did_and_bytes_stay_the_same() {
         assert_eq!(run.code, Some(2), "{wrong}: {run:#?}");
     }
 }
+
+#[test]
+fn simplifying_says_what_it_did_and_bytes_stay_the_same() {
+    let scratch = scratch_with_raw("simplify");
+    ok(&scratch, &format!("import @field.raw @a.bvol {RAW}"));
+    let plain = ok(&scratch, "mesh @a.bvol @plain.ply --json -q --measure").json();
+    let count = |json: &serde_json::Value, name: &str| json[name].as_u64().expect("a count");
+    for (goal, share) in [("10%", 0.105), ("0.2", 0.3)] {
+        let line = format!("mesh @a.bvol @m.ply --simplify {goal} --measure --overwrite --json -q");
+        let mut first: Option<Vec<u8>> = None;
+        for limits in ["--threads 1 --mem 1GiB", "--threads 2 --mem 96MiB"] {
+            let said = ok(&scratch, &format!("{line} {limits}")).json();
+            assert_eq!(said["closed"], true, "{said}");
+            assert_eq!(said["euler"], plain["euler"], "{said}");
+            let before = count(&said["simplified"], "triangles_before");
+            assert_eq!(before, count(&plain, "triangles"));
+            let after = count(&said, "triangles") as f64;
+            assert!(after < share * before as f64, "{said}");
+            let distance = said["simplified"]["distance"].as_f64().expect("measured");
+            assert!(distance > 0.0 && distance < 1.0, "{said}");
+            let made = bytes(&scratch.path("m.ply"));
+            match &first {
+                None => first = Some(made),
+                Some(first) => assert!(*first == made, "{limits}: other bytes"),
+            }
+        }
+        let check = ok(&scratch, "check @m.ply --json -q").json();
+        assert_eq!(check["sound"], true, "{check}");
+    }
+    let text = ok(&scratch, "mesh @a.bvol @m.ply --simplify 10% --overwrite");
+    assert!(text.stdout.contains("Hausdorff distance"), "{text:#?}");
+    // Together with others that stand between the surface and the file.
+    let line = "mesh @a.bvol @m.ply --simplify 20% --smooth quality --component largest --normals \
+                --overwrite --json -q";
+    let said = ok(&scratch, line).json();
+    assert_eq!(said["components_kept"], 1, "{said}");
+    for wrong in [
+        "--simplify 0",
+        "--simplify 100%",
+        "--simplify x",
+        "--simplify 5% --part 1/2",
+    ] {
+        let run = brickmarch(words(&scratch, &format!("mesh @a.bvol @n.ply {wrong} -q")));
+        assert_eq!(run.code, Some(2), "{wrong}: {run:#?}");
+    }
+}

@@ -11,6 +11,7 @@ mod oracle;
 mod parts;
 mod relaxed;
 mod seeds;
+mod simplified;
 mod tiles;
 mod world;
 

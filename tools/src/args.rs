@@ -293,7 +293,7 @@ pub(crate) struct Mesh {
     /// The surfaces of these segments of a label volume, in one pass: all (but 0), or 1,2,5; a file for each
     /// when OUT has {label} in its name, else one .ply whose faces have a label
     #[arg(long, value_name = "IDS", value_parser = parse::labels,
-          conflicts_with_all = ["iso", "label", "seed", "inside", "smooth"])]
+          conflicts_with_all = ["iso", "label", "seed", "inside", "smooth", "simplify"])]
     pub labels: Option<parse::LabelList>,
     /// Smooth the mask of each segment before it is meshed: passes of the kernel 1/4, 1/2, 1/4
     #[arg(long, value_name = "N", default_value_t = 0, requires = "labels",
@@ -320,7 +320,7 @@ pub(crate) struct Mesh {
     #[arg(long, value_name = "K", conflicts_with = "component")]
     pub min_triangles: Option<u64>,
     /// Make one part of the mesh, as 3/7, into OUT (.part); `join` makes the mesh of all of them
-    #[arg(long, value_name = "I/N", value_parser = parse::part, conflicts_with_all = ["seed", "measure", "picture", "dry_run", "component", "min_triangles", "labels"])]
+    #[arg(long, value_name = "I/N", value_parser = parse::part, conflicts_with_all = ["seed", "measure", "picture", "dry_run", "component", "min_triangles", "labels", "simplify"])]
     pub part: Option<[u32; 2]>,
     /// Measure the surface while it is made: area, volume, and whether it is closed
     #[arg(long)]
@@ -333,6 +333,9 @@ pub(crate) struct Mesh {
     pub keys: bool,
     #[command(flatten)]
     pub smooth: Smooth,
+    /// Fewer triangles: a share of them, or as few as an error in the units of the mesh allows
+    #[arg(long, value_name = "N%|ERROR", value_parser = parse::simplify)]
+    pub simplify: Option<parse::Simplify>,
     /// Coordinates of the mesh
     #[arg(long, value_enum, default_value_t = Space::World)]
     pub space: Space,
@@ -389,6 +392,9 @@ pub(crate) struct Model {
     pub normals: bool,
     #[command(flatten)]
     pub smooth: Smooth,
+    /// Meshes: fewer triangles: a share of them, or as few as an error in the units of the mesh allows
+    #[arg(long, value_name = "N%|ERROR", value_parser = parse::simplify)]
+    pub simplify: Option<parse::Simplify>,
     /// Meshes: write the colours of the scene (.ply)
     #[arg(long)]
     pub colors: bool,

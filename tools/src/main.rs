@@ -13,6 +13,7 @@ mod render;
 #[cfg(feature = "serve")]
 mod serve;
 mod shapes;
+mod simplify;
 mod system;
 mod tally;
 mod tee;

@@ -2,6 +2,39 @@
 
 use std::ops::RangeInclusive;
 
+/// How far a mesh is simplified: `10%` of its triangles, or an error in the units of the mesh.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Simplify {
+    Ratio(f64),
+    Error(f64),
+}
+
+/// `10%` or `0.05`.
+///
+/// # Errors
+/// Says what is allowed.
+pub(crate) fn simplify(text: &str) -> Result<Simplify, String> {
+    let bad = || {
+        format!(
+            "'{text}': give a share of the triangles, as 10%, or the largest error in the units of the mesh, as 0.05"
+        )
+    };
+    let number = |text: &str| text.trim().parse::<f64>().map_err(|_| bad());
+    match text.trim().strip_suffix('%') {
+        Some(percent) => {
+            let percent = number(percent)?;
+            let good = percent > 0.0 && percent < 100.0;
+            good.then_some(Simplify::Ratio(percent / 100.0))
+                .ok_or_else(bad)
+        }
+        None => {
+            let error = number(text)?;
+            let good = error > 0.0 && error.is_finite();
+            good.then_some(Simplify::Error(error)).ok_or_else(bad)
+        }
+    }
+}
+
 /// `64MiB`, `1.5 GiB`, `4096`, `200MB` in bytes.
 ///
 /// # Errors

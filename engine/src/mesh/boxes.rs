@@ -128,6 +128,44 @@ impl Boxes {
             }
         }
     }
+
+    /// Calls `visit` for groups near `p`, nearer ones first as far as boxes tell, as long as a box
+    /// may hold something whose square of the distance is below what `visit` gave last. The first
+    /// call is without a group.
+    pub(super) fn visit_near(
+        &self,
+        p: [f32; 3],
+        stack: &mut Vec<(u32, u32, f32)>,
+        mut visit: impl FnMut(Option<&[u32]>) -> f64,
+    ) {
+        // A little less than the square, so that rounding hides nothing.
+        let square = |b: &Bounds| -> f32 {
+            let off = |i: usize| (b[0][i] - p[i]).max(p[i] - b[1][i]).max(0.0);
+            (off(0) * off(0) + off(1) * off(1) + off(2) * off(2)) * 0.999_99
+        };
+        let mut most = visit(None);
+        stack.clear();
+        stack.push((self.levels.len() as u32 - 1, 0, 0.0));
+        while let Some((level, node, least)) = stack.pop() {
+            if f64::from(least) >= most {
+                continue;
+            }
+            if level == 0 {
+                most = visit(Some(self.group(node as usize)));
+                continue;
+            }
+            let below = &self.levels[level as usize - 1];
+            let first = node as usize * FAN;
+            let begin = stack.len();
+            for child in first..below.len().min(first + FAN) {
+                let square = square(&below[child]);
+                if f64::from(square) < most {
+                    stack.push((level - 1, child as u32, square));
+                }
+            }
+            stack[begin..].sort_unstable_by(|a, b| b.2.total_cmp(&a.2));
+        }
+    }
 }
 
 /// Interleaves the bits of three numbers below 2^21.

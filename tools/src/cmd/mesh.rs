@@ -9,11 +9,12 @@ use crate::output::{self, Replace};
 use crate::picture;
 use crate::render::{Raster, crossing_bounds, look};
 use crate::shapes::{self, ShapeTally};
+use crate::simplify::{self, simplified};
 use crate::tally::{Figures, Tally};
 use crate::tee::Tee;
 use brickmarch::budget::human_bytes;
 use brickmarch::iso::{Boundary, Extract, Part, Stats, extract, extract_part};
-use brickmarch::mesh::{Components, Kept, Layout, Shapes, Which};
+use brickmarch::mesh::{Components, Kept, Layout, Shapes, Simplification, Which};
 use brickmarch::store::Volume;
 use brickmarch::{Box3, Budget, Error, ErrorKind, Field, Inside, Kind, MeshSink, Result};
 use serde_json::{Value, json};
@@ -64,6 +65,7 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
             shapes,
         },
         kept,
+        thinned,
         picture_bytes,
     } = made;
     let text = format!(
@@ -100,7 +102,9 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
         json["components_found"] = json!(kept.found);
         json["components_kept"] = json!(kept.kept);
     }
-    let text = text + &add_shapes(&mut json, shapes.as_ref());
+    let text = text
+        + &add_shapes(&mut json, shapes.as_ref())
+        + &simplify::report(&mut json, thinned.as_ref());
     job.result(&text, &json)?;
     Ok(
         match pick::report_substituted(&volume, &args.volume, &job) {
@@ -277,6 +281,7 @@ struct Made {
     passed: Passed,
     /// Where not all components were wanted.
     kept: Option<Kept>,
+    thinned: Option<Simplification>,
     picture_bytes: Option<u64>,
 }
 
@@ -296,7 +301,7 @@ fn make(
         normals: args.normals,
         keys: args.keys,
     };
-    let mut kept = None;
+    let (mut kept, mut thinned) = (None, None);
     let passed = {
         let _watch = job.watch_counted("meshing", || count_work(field, options, &job.budget))?;
         let raster = raster.as_mut().map(|r| r as &mut dyn MeshSink);
@@ -307,8 +312,14 @@ fn make(
             raster,
             (args.measure, moved),
             |sink| {
-                let (stats, some) = extract_some(field, options, &job.budget, args, sink)?;
-                kept = some;
+                let space = (field, options.index_space);
+                let (stats, done) =
+                    simplified(args.simplify, space, &args.out, &job.budget, sink, |sink| {
+                        let (stats, some) = extract_some(field, options, &job.budget, args, sink)?;
+                        kept = some;
+                        Ok(stats)
+                    })?;
+                thinned = done;
                 Ok(stats)
             },
         )?
@@ -321,6 +332,7 @@ fn make(
     Ok(Made {
         passed,
         kept,
+        thinned,
         picture_bytes,
     })
 }
@@ -354,7 +366,10 @@ pub(super) fn pass(
 
 /// The mesh that `make` makes, into a file, a tally and a picture. Shapes are counted when its
 /// vertices have moved.
-fn pour(
+///
+/// # Errors
+/// What `make` and the sinks report.
+pub(super) fn pour(
     file: &mut dyn MeshSink,
     wanted: Layout,
     raster: Option<&mut dyn MeshSink>,

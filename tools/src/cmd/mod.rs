@@ -34,7 +34,7 @@ fn named(paths: &[&Path]) -> impl Fn(Error) -> Error + use<> {
 }
 
 /// `1234567` as "1,234,567".
-fn thousands(number: u64) -> String {
+pub(crate) fn thousands(number: u64) -> String {
     let digits = number.to_string();
     let mut out = String::new();
     for (i, digit) in digits.chars().enumerate() {

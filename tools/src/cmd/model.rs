@@ -1,14 +1,15 @@
 //! `model`: a scene file into a volume, or directly into a mesh, with no file between.
 
-use super::mesh::{Passed, add_figures, add_shapes, count_work, crossed_blocks, open_raster, pass};
+use super::mesh::{Passed, add_figures, add_shapes, count_work, crossed_blocks, open_raster, pour};
 use super::{named, seconds, thousands};
 use crate::Outcome;
 use crate::args::Model as Args;
 use crate::job::Job;
 use crate::output::{self, Replace};
 use crate::picture;
+use crate::simplify::{self, simplified};
 use brickmarch::budget::human_bytes;
-use brickmarch::iso::Extract;
+use brickmarch::iso::{Extract, extract};
 use brickmarch::mesh::{Layout, Piece, Totals};
 use brickmarch::model::{Convention, Model, NearSurface};
 use brickmarch::store::{VolumeInfo, VolumeSpec, write_field};
@@ -91,6 +92,7 @@ fn is_volume(args: &Args) -> bool {
 fn check_usage(args: &Args, to_volume: bool) -> Result<()> {
     let mesh_only = [
         ("--normals", args.normals),
+        ("--simplify", args.simplify.is_some()),
         ("--smooth", args.smooth.smooth.is_some()),
         ("--colors", args.colors),
         ("--picture", args.shot.picture.is_some()),
@@ -247,6 +249,7 @@ fn mesh(
         normals: args.normals,
         keys: false,
     };
+    let mut thinned = None;
     let Passed {
         stats,
         figures,
@@ -254,15 +257,16 @@ fn mesh(
     } = {
         let _watch = job.watch_counted("meshing", || count_work(model, &options, &job.budget))?;
         let raster = raster.as_mut().map(|r| r as &mut dyn MeshSink);
-        pass(
-            model,
-            &options,
-            &job.budget,
-            file.as_mut(),
-            wanted,
-            raster,
-            true,
-        )?
+        let moved = options.relax > 0;
+        pour(file.as_mut(), wanted, raster, (true, moved), |sink| {
+            let space = (model as &dyn Field, false);
+            let (stats, done) =
+                simplified(args.simplify, space, &args.out, &job.budget, sink, |sink| {
+                    extract(model, &options, &job.budget, sink)
+                })?;
+            thinned = done;
+            Ok(stats)
+        })?
     };
     if let (Some(raster), Some(path)) = (raster, &args.shot.picture) {
         let shot_colour = args.shot.colour;
@@ -279,6 +283,7 @@ fn mesh(
     }
     add_figures(json, &stats, figures.as_ref());
     add_shapes(json, shapes.as_ref());
+    let said = simplify::report(json, thinned.as_ref());
     let figures = figures.unwrap_or_default();
     let edge = model.block_edge();
     let blocks: u64 = model
@@ -298,12 +303,14 @@ fn mesh(
         }),
     );
     Ok(format!(
-        "{} triangles, {} vertices, {}, area {:.6}, volume {:.6}, {} of {} blocks evaluated",
+        "{} triangles, {} vertices, {}, area {:.6}, volume {:.6}{}{}, {} of {} blocks evaluated",
         thousands(stats.triangles),
         thousands(stats.vertices),
         if figures.closed { "closed" } else { "open" },
         figures.area,
         figures.volume,
+        if said.is_empty() { "" } else { ", " },
+        said.trim(),
         thousands(evaluated.regions),
         thousands(blocks),
     ))
