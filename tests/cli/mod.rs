@@ -1,5 +1,6 @@
 //! The program `brickmarch` as its users meet it.
 
+mod ask;
 mod bad_input;
 mod batch;
 mod check;

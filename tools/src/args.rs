@@ -46,6 +46,12 @@ pub(crate) enum Command {
     Model(Model),
     /// Check a mesh: closed, 2-manifold, oriented, components, genus, area, volume
     Check(Check),
+    /// Values of a volume at the points of a CSV or NumPy file
+    Sample(Sample),
+    /// First crossing, largest value or integral of a volume along the rays of a CSV or NumPy file
+    Ray(Ray),
+    /// Picture of a volume or a scene by casting rays, without a mesh
+    Render(Render),
     /// Write an axis-aligned slice of a volume as a PNG picture
     Slice(Slice),
     /// Run the tasks of a job file in one memory budget; run it again to go on after a stop
@@ -253,6 +259,16 @@ pub(crate) struct Info {
     /// Which volume of the file, by name [default: the first]
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
+    /// Read the samples: mean, deviation, and a histogram with this many bins
+    #[arg(long, value_name = "BINS", num_args = 0..=1, default_missing_value = "32",
+          value_parser = clap::value_parser!(u32).range(1..=65536))]
+    pub histogram: Option<u32>,
+    /// Values at the ends of the histogram [default: the smallest and largest]
+    #[arg(long, value_name = "LO:HI", allow_hyphen_values = true, value_parser = parse::window,
+          requires = "histogram")]
+    pub window: Option<(f64, f64)>,
+    #[command(flatten)]
+    pub region: Region,
     #[command(flatten)]
     pub run: Run,
 }
@@ -535,6 +551,146 @@ pub(crate) struct Slice {
     /// Pixels per sample along the finer axis
     #[arg(long, value_name = "S", default_value = "1", value_parser = scale)]
     pub scale: f64,
+    #[command(flatten)]
+    pub pick: Pick,
+    #[command(flatten)]
+    pub region: Region,
+    #[command(flatten)]
+    pub overwrite: Overwrite,
+    #[command(flatten)]
+    pub run: Run,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Sample {
+    /// Volume file
+    pub volume: PathBuf,
+    /// Points: .csv with x,y,z in each line, or .npy of shape (N, 3)
+    pub points: PathBuf,
+    /// File to write, .csv or .npy: x, y, z, value [default: CSV on standard output]
+    #[arg(short, long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// How values between samples are found
+    #[arg(long, value_enum, default_value_t = MethodName::Trilinear)]
+    pub method: MethodName,
+    /// Add the gradient, per unit of the coordinates: gx, gy, gz
+    #[arg(long)]
+    pub gradient: bool,
+    /// Coordinates of the points
+    #[arg(long, value_enum, default_value_t = Space::World)]
+    pub space: Space,
+    /// Value outside of the samples
+    #[arg(
+        long,
+        value_name = "V",
+        default_value = "nan",
+        allow_hyphen_values = true
+    )]
+    pub outside: f32,
+    #[command(flatten)]
+    pub pick: Pick,
+    #[command(flatten)]
+    pub overwrite: Overwrite,
+    #[command(flatten)]
+    pub run: Run,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum MethodName {
+    /// The nearest sample
+    Nearest,
+    /// Linear along each axis
+    Trilinear,
+    /// Cubic along each axis, smooth, through the samples
+    Tricubic,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Ray {
+    /// Volume file
+    pub volume: PathBuf,
+    /// Rays: .csv with x,y,z,dx,dy,dz in each line, or .npy of shape (N, 6)
+    pub rays: PathBuf,
+    /// File to write, .csv or .npy [default: CSV on standard output]
+    #[arg(short, long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub what: RayWhat,
+    /// Coordinates of the rays
+    #[arg(long, value_enum, default_value_t = Space::World)]
+    pub space: Space,
+    #[command(flatten)]
+    pub pick: Pick,
+    #[command(flatten)]
+    pub region: Region,
+    #[command(flatten)]
+    pub overwrite: Overwrite,
+    #[command(flatten)]
+    pub run: Run,
+}
+
+/// What is asked of a ray.
+#[derive(Args, Debug, Clone)]
+#[group(required = true, multiple = false)]
+pub(crate) struct RayWhat {
+    /// The first crossing of this value: t, x, y, z, and 1 where the values rise
+    #[arg(long, value_name = "V", allow_hyphen_values = true, value_parser = parse::isovalue)]
+    pub iso: Option<f32>,
+    /// The largest value: t, x, y, z, value
+    #[arg(long)]
+    pub max: bool,
+    /// The integral of the values over length, and the length that has values
+    #[arg(long)]
+    pub integral: bool,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Render {
+    /// Volume file, or scene file (.toml)
+    pub volume: PathBuf,
+    /// Picture to write (.png)
+    pub out: PathBuf,
+    /// The surface of this isovalue [default: 0 for a distance, 0.5 for a mask]
+    #[arg(long, value_name = "V", allow_hyphen_values = true, value_parser = parse::isovalue,
+          conflicts_with_all = ["fog", "max"])]
+    pub iso: Option<f32>,
+    /// Which side of the isovalue is inside [default: below for a distance, above otherwise]
+    #[arg(long, value_enum)]
+    pub inside: Option<InsideMode>,
+    /// The density as a fog, between the values of --window
+    #[arg(long, conflicts_with = "max")]
+    pub fog: bool,
+    /// The largest value along each ray
+    #[arg(long)]
+    pub max: bool,
+    /// Values that are clear and of full strength [default: what the volume has]
+    #[arg(long, value_name = "LO:HI", allow_hyphen_values = true, value_parser = parse::window)]
+    pub window: Option<(f64, f64)>,
+    /// Fog: part of the light that a step of the lattice takes away at full strength
+    #[arg(long, value_name = "PART", default_value_t = 0.1, value_parser = parse::finite)]
+    pub opacity: f64,
+    /// Colour map of fog and largest values
+    #[arg(long, value_enum, default_value_t = MapName::Grey)]
+    pub map: MapName,
+    /// Leave hollows as bright as the rest
+    #[arg(long)]
+    pub no_occlusion: bool,
+    /// Size of the picture
+    #[arg(long, value_name = "WxH", default_value = "1200x900", value_parser = parse::pixels)]
+    pub size: [u32; 2],
+    /// Where to look from: azimuth,elevation in degrees; 0,0 looks along +y with z up
+    #[arg(long, value_name = "A,E", default_value = "30,25", value_parser = parse::view,
+          allow_hyphen_values = true)]
+    pub view: [f64; 2],
+    /// Colour of the surface
+    #[arg(long, value_name = "RRGGBB", default_value = "e8d9be", value_parser = parse::colour)]
+    pub colour: [u8; 3],
+    /// Parallel projection instead of perspective
+    #[arg(long)]
+    pub parallel: bool,
+    /// Scenes: cells along the longest edge [default: what the scene says, or 256]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    pub resolution: Option<u32>,
     #[command(flatten)]
     pub pick: Pick,
     #[command(flatten)]

@@ -15,6 +15,7 @@ mod serve;
 mod shapes;
 mod simplify;
 mod system;
+mod table;
 mod tally;
 mod tee;
 
@@ -46,6 +47,9 @@ fn main() -> ExitCode {
         Command::Join(args) => cmd::join::run(args),
         Command::Model(args) => cmd::model::run(args),
         Command::Check(args) => cmd::check::run(args),
+        Command::Sample(args) => cmd::sample::run(args),
+        Command::Ray(args) => cmd::ray::run(args),
+        Command::Render(args) => cmd::render::run(args),
         Command::Slice(args) => cmd::slice::run(args),
         Command::Batch(args) => cmd::batch::run(args),
         #[cfg(feature = "serve")]

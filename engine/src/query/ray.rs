@@ -219,62 +219,88 @@ impl<'a> Rays<'a> {
         span: [f64; 2],
         walker: &mut dyn Walker,
     ) -> Result<()> {
-        let (domain, first) = (self.field.grid().domain, self.first_block());
-        let origin: [f64; 3] =
-            std::array::from_fn(|a| f64::from(domain.min[a]) + (first[a] * self.edge) as f64);
-        let last = self.count.map(|n| n as i64 - 1);
-        let walked = pass(
-            ray,
-            span,
-            origin,
-            self.edge as f64,
-            [[0; 3], last],
-            |at, start, end| {
-                let block = at.map(|v| v as u64);
-                let n = block[0] + self.count[0] * (block[1] + self.count[1] * block[2]);
-                match walker.look(&self.ranges[n as usize], start, end) {
-                    Look::Skip => return ControlFlow::Continue(()),
-                    Look::Stop => return ControlFlow::Break(Ok(())),
-                    Look::Cells => {}
-                }
-                let cells = self.cells_of(block);
-                let limits = [
-                    cells.min.map(i64::from),
-                    cells.max.map(|v| i64::from(v) - 1),
-                ];
-                pass(
-                    ray,
-                    [start, end],
-                    [0.0; 3],
-                    1.0,
-                    limits,
-                    |cell, start, end| {
-                        let cell = cell.map(|v| v as i32);
-                        let corners = match cursor.cell(cell) {
-                            Ok(corners) => corners,
-                            Err(e) => return ControlFlow::Break(Err(e)),
-                        };
-                        if !walker.near(&corners) {
-                            return ControlFlow::Continue(());
-                        }
-                        let place = ray.at(start);
-                        let local = std::array::from_fn(|a| place[a] - f64::from(cell[a]));
-                        let passed = Passed {
-                            cubic: Cubic::new(corners, local, ray.direction, end - start),
-                            start,
-                        };
-                        match walker.cell(&passed) {
-                            true => ControlFlow::Break(Ok(())),
-                            false => ControlFlow::Continue(()),
-                        }
-                    },
-                )
-            },
-        );
+        let walked = self.pass_blocks(ray, span, |block, range, start, end| {
+            match walker.look(range, start, end) {
+                Look::Skip => return ControlFlow::Continue(()),
+                Look::Stop => return ControlFlow::Break(Ok(())),
+                Look::Cells => {}
+            }
+            let cells = self.cells_of(block);
+            let limits = [
+                cells.min.map(i64::from),
+                cells.max.map(|v| i64::from(v) - 1),
+            ];
+            pass(
+                ray,
+                [start, end],
+                [0.0; 3],
+                1.0,
+                limits,
+                |cell, start, end| {
+                    let cell = cell.map(|v| v as i32);
+                    let corners = match cursor.cell(cell) {
+                        Ok(corners) => corners,
+                        Err(e) => return ControlFlow::Break(Err(e)),
+                    };
+                    if !walker.near(&corners) {
+                        return ControlFlow::Continue(());
+                    }
+                    let place = ray.at(start);
+                    let local = std::array::from_fn(|a| place[a] - f64::from(cell[a]));
+                    let passed = Passed {
+                        cubic: Cubic::new(corners, local, ray.direction, end - start),
+                        start,
+                    };
+                    match walker.cell(&passed) {
+                        true => ControlFlow::Break(Ok(())),
+                        false => ControlFlow::Continue(()),
+                    }
+                },
+            )
+        });
         match walked {
             ControlFlow::Break(ended) => ended,
             ControlFlow::Continue(()) => Ok(()),
         }
+    }
+
+    /// The samples that rays see.
+    pub fn region(&self) -> &Box3 {
+        &self.region
+    }
+
+    /// Passes the blocks along a ray from `t = from` on, in order: `visit(range, start, end)`, until it
+    /// breaks. The parts join without a gap.
+    pub fn blocks<B>(
+        &self,
+        ray: &Ray,
+        from: f64,
+        mut visit: impl FnMut(&Range, f64, f64) -> ControlFlow<B>,
+    ) -> ControlFlow<B> {
+        match self.span(ray, from) {
+            Some(span) => {
+                self.pass_blocks(ray, span, |_, range, start, end| visit(range, start, end))
+            }
+            None => ControlFlow::Continue(()),
+        }
+    }
+
+    fn pass_blocks<B>(
+        &self,
+        ray: &Ray,
+        span: [f64; 2],
+        mut visit: impl FnMut([u64; 3], &Range, f64, f64) -> ControlFlow<B>,
+    ) -> ControlFlow<B> {
+        let (domain, first) = (self.field.grid().domain, self.first_block());
+        let origin: [f64; 3] =
+            std::array::from_fn(|a| f64::from(domain.min[a]) + (first[a] * self.edge) as f64);
+        let last = self.count.map(|n| n as i64 - 1);
+        let edge = self.edge as f64;
+        pass(ray, span, origin, edge, [[0; 3], last], |at, start, end| {
+            let block = at.map(|v| v as u64);
+            let n = block[0] + self.count[0] * (block[1] + self.count[1] * block[2]);
+            visit(block, &self.ranges[n as usize], start, end)
+        })
     }
 
     /// The first crossing of `iso` from `t = from` on, at the root of the cubic that the trilinear

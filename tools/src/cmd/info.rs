@@ -5,8 +5,9 @@ use crate::Outcome;
 use crate::args::Info;
 use crate::job::Job;
 use brickmarch::budget::human_bytes;
-use brickmarch::store::VolumeInfo;
-use brickmarch::{Grid, Units};
+use brickmarch::query::{self, Bins};
+use brickmarch::store::{Volume, VolumeInfo};
+use brickmarch::{Box3, Error, Field, Grid, Result, Units};
 use serde_json::{Value, json};
 use std::fmt::Write;
 
@@ -48,8 +49,79 @@ pub(crate) fn run(args: &Info) -> anyhow::Result<Outcome> {
     json["sealed"] = json!(info.sealed);
     json["unfinished_slabs"] = json!(info.unfinished_slabs);
     json["volume"] = figures(&info, &spec.grid);
+    if let Some(bins) = args.histogram {
+        let part = super::region::resolve(&args.region, &spec.grid)?;
+        let (more, figures) = counted(&volume, part, bins, args.window, &job)
+            .map_err(|e| e.context(args.volume.display()))?;
+        text += &more;
+        json["samples"] = figures;
+    } else if args.region.roi.is_some() || args.region.roi_world.is_some() {
+        return Err(Error::bad_input("a region is for --histogram: give that too").into());
+    }
     job.result(&text, &json)?;
     Ok(Outcome::Done)
+}
+
+/// Statistics and histogram of the samples of a region.
+fn counted(
+    volume: &Volume,
+    part: Option<Box3>,
+    bins: u32,
+    window: Option<(f64, f64)>,
+    job: &Job,
+) -> Result<(String, Value)> {
+    let region = part.unwrap_or(volume.grid().domain);
+    let found = query::statistics(volume, region, &job.budget)?;
+    let (low, high) = window.unwrap_or_else(|| {
+        let ends = [found.range.min, found.range.max];
+        let [low, high] = ends.map(|v| f64::from(v.clamp(f32::MIN, f32::MAX)));
+        if low < high {
+            (low, high)
+        } else {
+            (low - 0.5, low + 0.5)
+        }
+    });
+    let bins = Bins {
+        low,
+        high,
+        count: bins as usize,
+    };
+    let histogram = query::histogram(volume, region, &bins, &job.budget)?;
+    let mut text = format!(
+        "  region       {region}: {} samples, {} NaN, {} infinite\n  values       {} to {}, mean {}, deviation {}\n",
+        thousands(found.count),
+        thousands(found.nan),
+        thousands(found.infinite),
+        found.range.min,
+        found.range.max,
+        short(found.mean),
+        short(found.deviation),
+    );
+    let most = histogram.counts.iter().copied().max().unwrap_or(0).max(1);
+    let step = (high - low) / bins.count as f64;
+    for (n, &count) in histogram.counts.iter().enumerate() {
+        // Lengths by the logarithm: most samples of most volumes are in one bin.
+        let length = (40.0 * (1.0 + count as f64).ln() / (1.0 + most as f64).ln()).round();
+        let _ = writeln!(
+            text,
+            "  {:>12} {:>15} {}",
+            short(low + n as f64 * step),
+            thousands(count),
+            "#".repeat(length as usize)
+        );
+    }
+    if histogram.below + histogram.above > 0 {
+        let (below, above) = (thousands(histogram.below), thousands(histogram.above));
+        let _ = writeln!(text, "  below and above the window: {below} and {above}");
+    }
+    let json = json!({
+        "region": { "min": region.min, "max": region.max },
+        "count": found.count, "nan": found.nan, "infinite": found.infinite,
+        "range": range_json(found.range), "mean": found.mean, "deviation": found.deviation,
+        "window": [low, high], "counts": histogram.counts, "below": histogram.below,
+        "above": histogram.above,
+    });
+    Ok((text, json))
 }
 
 /// What is known of a volume, a line each.

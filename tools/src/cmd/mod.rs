@@ -12,9 +12,13 @@ mod labels;
 pub(crate) mod manual;
 pub(crate) mod mesh;
 pub(crate) mod model;
+pub(crate) mod ray;
+pub(crate) mod render;
+pub(crate) mod sample;
 pub(crate) mod slice;
 pub(crate) mod verify;
 
+mod ask;
 mod pick;
 mod region;
 

@@ -4,17 +4,21 @@
 //! pieces --> Raster (nearest depth and normal a pixel, in any order) --> shade --> Picture
 //! ```
 //!
+//! `cast` fills the same picture with a ray for each sample, without a mesh.
+//!
 //! Memory is that of the picture, whatever the size of the mesh.
 
 mod bounds;
 mod camera;
+mod cast;
 mod raster;
 mod shade;
 
 pub(crate) use bounds::crossing_bounds;
 pub(crate) use camera::{View, WorldBox};
+pub(crate) use cast::{Fog, Surface, fog, highest};
 pub(crate) use raster::Raster;
-pub(crate) use shade::Look;
+pub(crate) use shade::{Look, from_srgb};
 
 use crate::args::Shot;
 

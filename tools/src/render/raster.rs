@@ -95,6 +95,25 @@ impl Raster {
         })
     }
 
+    /// Shows a world point with its normal, on the eye's side, where sample `x`, `y` shows nothing nearer.
+    pub(super) fn put(&self, x: usize, y: usize, world: DVec3, normal: DVec3) {
+        let depth = fixed_depth(self.camera.project(world)[2]);
+        let normal = self.camera.turn(normal).as_vec3();
+        let word = u64::from(depth) << 32 | u64::from(pack_normal(normal));
+        self.pixels[x + y * self.size[0]].fetch_min(word, Ordering::Relaxed);
+    }
+
+    /// Width and height of the picture that the light sees.
+    pub(super) fn light_edge(&self) -> usize {
+        LIGHT_EDGE
+    }
+
+    /// A world point that the light sees at `x`, `y` of its picture.
+    pub(super) fn put_light(&self, x: usize, y: usize, world: DVec3) {
+        let depth = fixed_depth(self.light.project(world)[2]);
+        self.light_depth[x + y * LIGHT_EDGE].fetch_min(depth, Ordering::Relaxed);
+    }
+
     fn draw(&self, piece: &Piece) {
         let spots = |camera: &Camera| -> Vec<Spot> {
             let spot = |p: &[f32; 3]| Spot::new(camera.project(Vec3::from(*p).as_dvec3()));

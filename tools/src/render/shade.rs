@@ -34,6 +34,8 @@ pub(crate) struct Look {
     pub margin: f64,
     /// Colour of the surface, sRGB.
     pub colour: [u8; 3],
+    /// Whether hollows are darker.
+    pub occlusion: bool,
 }
 
 impl Default for Look {
@@ -45,6 +47,7 @@ impl Default for Look {
             parallel: false,
             margin: 0.05,
             colour: [232, 217, 190],
+            occlusion: true,
         }
     }
 }
@@ -97,6 +100,28 @@ impl Raster {
         Ok(picture)
     }
 
+    /// The background behind `samples`, linear colour times opacity, and opacity.
+    ///
+    /// # Errors
+    /// When the memory is not there, or the budget was cancelled.
+    pub(crate) fn behind(&self, samples: &[[f32; 4]], budget: &Budget) -> Result<Picture> {
+        let (w, h) = (self.look.width as usize, self.look.height as usize);
+        let _permit = budget.take((w * h * 3) as u64, "shading the picture")?;
+        let mut picture = Picture::rgb(self.look.width, self.look.height);
+        each_row(&mut picture.bytes, w * 3, budget, |y, row| {
+            for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
+                let mut sum = Vec3::ZERO;
+                for sub in 0..SUPER * SUPER {
+                    let (sx, sy) = (x * SUPER + sub % SUPER, y * SUPER + sub / SUPER);
+                    let [r, g, b, alpha] = samples[sx + sy * self.size[0]];
+                    sum += Vec3::new(r, g, b) + self.background(sx, sy) * (1.0 - alpha);
+                }
+                pixel.copy_from_slice(&to_srgb(sum / (SUPER * SUPER) as f32));
+            }
+        })?;
+        Ok(picture)
+    }
+
     /// Colours of the samples of one row of pixels; that of the look where nothing is seen.
     fn paint_row(&self, y: usize, paint: Paint<'_>) -> Vec<[u8; 3]> {
         let mut colours = vec![self.look.colour; self.size[0] * SUPER];
@@ -123,7 +148,7 @@ impl Raster {
 
     /// From 0 (deep in a hollow) to 1 (open), by looking around in the depth picture.
     fn openness(&self, x: usize, y: usize, scene: f64, around: &[Spiral]) -> f32 {
-        let Some((position, normal)) = self.sample(x, y) else {
+        let (true, Some((position, normal))) = (self.look.occlusion, self.sample(x, y)) else {
             return 1.0;
         };
         let normal = normal.as_dvec3();
@@ -303,7 +328,7 @@ fn each_row(
     budget.check_cancelled()
 }
 
-fn from_srgb(colour: [u8; 3]) -> Vec3 {
+pub(crate) fn from_srgb(colour: [u8; 3]) -> Vec3 {
     Vec3::from(colour.map(|v| (f32::from(v) / 255.0).powf(2.2)))
 }
 
