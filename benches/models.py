@@ -1,7 +1,11 @@
 #!/usr/bin/env python3
 """Volumes of the scenes of the gallery at growing resolution: share of bricks evaluated, time, peak memory.
 
-usage: benches/models.py PROGRAM [SCENE [LARGEST]]     default: machine_part, 4096
+usage: benches/models.py PROGRAM [SCENE|all [LARGEST [SECONDS]]]     default: machine_part, 4096, 90
+
+A scene stops at the resolution whose run would take more than SECONDS, by four times the run before.
+The slope is that of the last doubling and of all: bricks larger than what they show are nearly all
+evaluated, so only the last ones say how work grows.
 """
 import json
 import math
@@ -10,34 +14,58 @@ import sys
 import tempfile
 from pathlib import Path
 
+MIB = 1 / (1 << 20)
+
+
+def rows_of(program, path, largest, seconds_max):
+    """(N, bricks evaluated, share, bytes, seconds, peak bytes) at 256, 512, ..."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "scene.bvol"
+        n, last = 256, 0.0
+        while n <= largest and 4 * last <= seconds_max:
+            command = [program, "model", path, out, "--resolution", str(n), "--mem", "256MiB", "--json", "--overwrite"]
+            done = subprocess.run(command, check=True, capture_output=True, text=True)
+            f = json.loads(done.stdout)
+            last = f["seconds"]
+            yield n, f["bricks_evaluated"], f["share_evaluated"], f["bytes_out"], last, f["peak_rss_bytes"] or 0
+            n *= 2
+
+
+def slope(first, last, column):
+    return math.log(last[column] / first[column]) / math.log(last[0] / first[0])
+
 
 def main():
     if len(sys.argv) < 2:
         sys.exit(__doc__)
-    scene = sys.argv[2] if len(sys.argv) > 2 else "machine_part"
-    largest = int(sys.argv[3]) if len(sys.argv) > 3 else 4096
-    path = Path(__file__).parent.parent / "data-gen" / "scenes" / f"{scene}.toml"
-    print("| N | bricks evaluated | of all | file MiB | seconds | peak MiB |\n|---|---|---|---|---|---|")
-    rows = []
-    n = 256
-    with tempfile.TemporaryDirectory() as folder:
-        while n <= largest:
-            out = Path(folder) / "scene.bvol"
-            command = [sys.argv[1], "model", path, out, "--resolution", str(n), "--mem", "256MiB", "--json", "--overwrite"]
-            figures = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-            rows.append((n, figures["seconds"], figures["bricks_evaluated"]))
-            mib = 1 / (1 << 20)
+    given = dict(enumerate(sys.argv))
+    scene, largest, seconds_max = given.get(2, "machine_part"), int(given.get(3, 4096)), float(given.get(4, 90))
+    folder = Path(__file__).parent.parent / "data-gen" / "scenes"
+    paths = sorted(folder.glob("*.toml")) if scene == "all" else [folder / f"{scene}.toml"]
+    if scene == "all":
+        print("| scene | N | bricks evaluated | of all | seconds | peak MiB | slope of bricks: all, last | of time: all, last |")
+        print("|---|---|---|---|---|---|---|---|")
+        for path in paths:
+            rows = list(rows_of(sys.argv[1], path, largest, seconds_max))
+            n, bricks, share, _, seconds, peak = rows[-1]
+            slopes = [[f"{slope(rows[i], rows[-1], c):.2f}" for i in (0, -2)] for c in (1, 4)] if len(rows) > 1 else [["-"]] * 2
             print(
-                f"| {n} | {figures['bricks_evaluated']:,} | {100 * figures['share_evaluated']:.2f} % "
-                f"| {figures['bytes_out'] * mib:.1f} | {figures['seconds']:.2f} "
-                f"| {(figures['peak_rss_bytes'] or 0) * mib:.1f} |",
+                f"| {path.stem} | {n} | {bricks:,} | {100 * share:.2f} % | {seconds:.1f} | {peak * MIB:.1f} "
+                f"| {', '.join(slopes[0])} | {', '.join(slopes[1])} |",
                 flush=True,
             )
-            n *= 2
+        return
+    print("| N | bricks evaluated | of all | file MiB | seconds | peak MiB |\n|---|---|---|---|---|---|")
+    rows = []
+    for row in rows_of(sys.argv[1], paths[0], largest, seconds_max):
+        rows.append(row)
+        n, bricks, share, size, seconds, peak = row
+        print(
+            f"| {n} | {bricks:,} | {100 * share:.2f} % | {size * MIB:.1f} | {seconds:.2f} | {peak * MIB:.1f} |",
+            flush=True,
+        )
     if len(rows) > 1:
-        (n0, t0, b0), (n1, t1, b1) = rows[0], rows[-1]
-        slope = lambda a, b: math.log(b / a) / math.log(n1 / n0)
-        print(f"slope in log-log: {slope(t0, t1):.2f} for time, {slope(b0, b1):.2f} for bricks")
+        print(f"slope in log-log: {slope(rows[0], rows[-1], 4):.2f} for time, {slope(rows[0], rows[-1], 1):.2f} for bricks")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules of the engine and what each may use beside itself.
-const MAY_USE: [(&str, &[&str]); 12] = [
+const MAY_USE: [(&str, &[&str]); 13] = [
     ("cpu", &[]),
     ("error", &[]),
     ("budget", &["error"]),
@@ -26,6 +26,12 @@ const MAY_USE: [(&str, &[&str]); 12] = [
     ),
     ("model", &["error", "lattice", "sample", "field"]),
     ("query", &["error", "budget", "lattice", "sample", "field"]),
+    (
+        "redistance",
+        &[
+            "error", "budget", "lattice", "sample", "field", "mesh", "iso",
+        ],
+    ),
     (
         "raw_file",
         &["error", "budget", "lattice", "sample", "field"],

@@ -14,6 +14,7 @@ pub mod mesh;
 pub mod model;
 pub mod query;
 pub mod raw_file;
+pub mod redistance;
 pub mod sample;
 pub mod store;
 

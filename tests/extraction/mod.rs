@@ -9,6 +9,7 @@ mod laws;
 mod normals;
 mod oracle;
 mod parts;
+mod redistance;
 mod relaxed;
 mod seeds;
 mod simplified;

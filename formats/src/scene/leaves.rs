@@ -6,6 +6,7 @@ use super::value::Value;
 use crate::{OpenOptions, RawLayout, open_volume};
 use brickmarch::field::Dense;
 use brickmarch::model::{Convention, Primitive, Sampled};
+use brickmarch::redistance::Redistanced;
 use brickmarch::store::{self, Volume, VolumeSpec};
 use brickmarch::{Affine, Box3, Budget, Field, Grid, Kind, Result, SampleType, Units};
 use std::path::Path;
@@ -18,6 +19,9 @@ const MAX_HEIGHTS: usize = 1 << 20;
 /// Names line and key.
 pub(super) fn volume(keys: &Keys<'_>) -> Result<Primitive> {
     let (field, name) = open(keys)?;
+    if let Some(band) = keys.number("redistance")? {
+        return redistanced(keys, field, &name, band);
+    }
     let default = match field.kind() {
         Kind::Distance => "distance",
         _ => "density",
@@ -34,6 +38,52 @@ pub(super) fn volume(keys: &Keys<'_>) -> Result<Primitive> {
         samples,
         convention,
     })
+}
+
+/// The distance to the surface of a field, made once into a temporary volume.
+fn redistanced(
+    keys: &Keys<'_>,
+    field: Arc<dyn Field + Send + Sync>,
+    name: &str,
+    band: f64,
+) -> Result<Primitive> {
+    let wrong = |e: brickmarch::Error| keys.scope.error(keys.line, format!("{name}: {e}"));
+    let line = keys.get("redistance").map_or(keys.line, |i| i.line);
+    let of_band = |e: brickmarch::Error| keys.scope.error(line, format!("'redistance': {e}"));
+    if keys.get("as").is_some() {
+        return Err(keys.scope.error(
+            line,
+            "'redistance' makes a distance: leave 'as' out".to_string(),
+        ));
+    }
+    let iso = match field.kind() {
+        Kind::Distance => keys.number_or("iso", 0.0)?,
+        Kind::Mask => keys.number_or("iso", 0.5)?,
+        _ => keys.need_number("iso")?,
+    };
+    let budget = &keys.scope.budget;
+    let near = Redistanced::new(field.as_ref(), iso as f32, None, band, budget).map_err(of_band)?;
+    let mut spec = VolumeSpec::new(*near.grid(), SampleType::F32);
+    spec.kind = Kind::Distance;
+    spec.background = band;
+    let folder = scratch_folder(Path::new(name)).map_err(wrong)?;
+    let path = folder.path().join("distance.bvol");
+    store::write_field(&near, &spec, &path, budget).map_err(wrong)?;
+    let volume = Volume::open(&path, budget).map_err(wrong)?;
+    let scratch = Arc::new(Scratch {
+        volume,
+        _folder: folder,
+    });
+    let samples = Sampled::new(scratch, name).map_err(wrong)?;
+    Ok(Primitive::Sampled {
+        samples,
+        convention: Convention::Distance,
+    })
+}
+
+fn scratch_folder(path: &Path) -> Result<tempfile::TempDir> {
+    tempfile::tempdir()
+        .map_err(|e| brickmarch::Error::io(path, "making a temporary folder for its samples", e))
 }
 
 fn open(keys: &Keys<'_>) -> Result<(Arc<dyn Field + Send + Sync>, String)> {
@@ -89,8 +139,7 @@ fn open_field(
     let mut spec = VolumeSpec::new(source.grid, source.sample);
     spec.kind = source.kind;
     spec.background = source.background;
-    let scratch = tempfile::tempdir()
-        .map_err(|e| brickmarch::Error::io(path, "making a temporary folder for its samples", e))?;
+    let scratch = scratch_folder(path)?;
     let copy = scratch.path().join("leaf.bvol");
     store::import_stream(&mut source.reader, &spec, &copy, budget)?;
     let volume = Volume::open(&copy, budget)?;
