@@ -205,6 +205,80 @@ class Rows:
                 known[k + 3, j + 3].view(np.uint32)[active] = bits[active]
 
 
+def packed_words(data, count):
+    """Residual words of codec 7."""
+    length = struct.unpack_from("<H", data)[0]
+    widths, words = data[2 : 2 + length], data[2 + length :]
+    if length != count // 32:
+        widths = lz4_block(widths, count // 32)
+    need(len(widths) == count // 32, "codec 7: widths")
+    out, bits = [], int.from_bytes(words, "little")
+    for n in range(count // 16):
+        width = widths[n // 2] >> 4 * (n % 2) & 15
+        width = 16 if width == 15 else width
+        out += [bits >> i * width & (1 << width) - 1 for i in range(16)]
+        bits >>= 16 * width
+        words = words[2 * width :]
+    need(not words and bits == 0, "codec 7: bytes are left over")
+    return out
+
+
+def coded_plane(data, count):
+    """A plane of codec 8 and what follows it."""
+    kind, data = data[0], data[1:]
+    if kind < 2:
+        return (data[:count], data[count:]) if kind == 0 else (data[:1] * count, data[1:])
+    need(kind == 2, "codec 8: kind of plane")
+    last, at, values = data[0], 1, []
+    freq = []
+    while len(freq) <= last:
+        first = data[at]
+        if first == 0:
+            freq += [0] * (1 + data[at + 1])
+        else:
+            freq.append(first if first < 128 else (first & 127) << 8 | data[at + 1])
+        at += 1 if 0 < first < 128 else 2
+    need(len(freq) == last + 1 and sum(freq) == 2048 and max(freq) < 2048, "codec 8: table")
+    slots = [(v, f, r) for v, f in enumerate(freq) for r in range(f)]
+    count_of_words, *x = struct.unpack_from("<5I", data, at)
+    words = iter(struct.unpack_from(f"<{count_of_words}H", data, at + 20))
+    for t in range(count):
+        value, f, r = slots[x[t % 4] % 2048]
+        values.append(value)
+        new = f * (x[t % 4] >> 11) + r
+        x[t % 4] = new if new >= 1 << 16 else new << 16 | next(words)
+    need(next(words, None) is None and x == [1 << 16] * 4, "codec 8: words are left over")
+    return bytes(values), data[at + 20 + 2 * count_of_words :]
+
+
+def fitted(stored, edge, dtype, is_packed):
+    """A brick of codec 7 or 8."""
+    *w, offset = struct.unpack_from("<4bi", stored)
+    rest, count = stored[8:], edge**3
+    if is_packed:
+        d = np.array(packed_words(rest, count), np.int64)
+    else:
+        d = np.zeros(count, np.int64)
+        for b in range(dtype.itemsize):
+            plane, rest = coded_plane(rest, count)
+            d |= np.frombuffer(plane, "u1").astype(np.int64) << 8 * b
+        need(not rest, "codec 8: bytes are left over")
+    d = ((d >> 1) ^ -(d & 1)).reshape(edge, edge, edge)
+    f = np.zeros(d.shape, dtype)
+    f[0, 0] = np.cumsum(d[0, 0]).astype(dtype)
+    for k in range(edge):
+        for j in range(k == 0, edge):
+            if k == 0:
+                taps = [f[0, j - 1]] * 4
+            else:
+                b = f[k - 1, j]
+                above = f[k - 1, j + 1] if j + 1 < edge else b
+                taps = [f[k, j - 1], b, f[k - 1, j - 1], above] if j else [b, b, b, above]
+            guess = sum(w * t.astype(np.int64) for w, t in zip(w, taps)) + offset + 32 >> 6
+            f[k, j] = (guess + d[k, j]).astype(dtype)
+    return f
+
+
 class Reader:
     def __init__(self, data, name=None, level=0):
         self.data = data
@@ -232,7 +306,7 @@ class Reader:
             need(self.record_at(12288) is not None, "header copy")
         major, _, length, incompat = struct.unpack_from("<HHIQ", header, 8)
         need(major == 1, f"format version {major}")
-        need(incompat & ~8 == 0, f"unknown features {incompat:#x}")
+        need(incompat & ~0b11000 == 0, f"unknown features {incompat:#x}")
         need(length == 4096, "header length")
         return crc32c(header[40:56])
 
@@ -426,8 +500,11 @@ class Reader:
             if self.sample == "bit":
                 raw = np.unpackbits(np.frombuffer(raw, "u1"), bitorder="little").tobytes()
             return np.frombuffer(raw, self.dtype).reshape((self.edge,) * 3)
-        need(codec <= 6 and self.sample != "bit", f"codec {codec}")
-        need(codec < 5 or self.sample == "f32", f"codec {codec} of other samples than f32")
+        need(codec <= 8 and self.sample != "bit", f"codec {codec}")
+        need(codec not in (5, 6) or self.sample == "f32", f"codec {codec} of other samples than f32")
+        if codec > 6:
+            need(self.sample in ("u8", "i8", "u16", "i16"), f"codec {codec} of {self.sample}")
+            return fitted(stored, self.edge, self.dtype, codec == 7)
         if codec == 6:
             return Rows(stored, self.edge).brick()
         lengths = struct.unpack_from(f"<{width}I", stored)

@@ -1,6 +1,6 @@
 //! Small volumes that together have every sample type, kind, codec and state of a slot.
 
-use brickmarch::store::{MemoryStorage, VolumeSpec, VolumeWriter};
+use brickmarch::store::{Compression, MemoryStorage, VolumeSpec, VolumeWriter};
 use brickmarch::{Affine, Box3, Budget, Grid, Kind, SampleType, Units};
 use std::path::Path;
 use std::sync::Arc;
@@ -98,6 +98,13 @@ pub(crate) fn all() -> Vec<Small> {
     use SampleType::{Bit, F32, I8, I16, I32, U8, U16, U32};
     let six = [Few, Background, Constant, Noise, Ramp, Smooth];
     let plain = |_: &mut VolumeSpec, _: &mut Vec<u8>| {};
+    let noisy = |spec: &mut VolumeSpec, raw: &mut Vec<u8>| {
+        spec.brick_edge = 16;
+        let width = spec.sample.bytes();
+        for (n, low) in raw.iter_mut().step_by(width).enumerate() {
+            *low ^= (hash([n as u32, 5, 7]) >> 13 & 7) as u8;
+        }
+    };
     vec![
         make("bit_mask", Bit, Kind::Mask, &six, plain),
         make("u8_density", U8, Kind::Density, &six, plain),
@@ -186,6 +193,11 @@ pub(crate) fn all() -> Vec<Small> {
                 }
             },
         ),
+        // Slopes with noise, as scans have them.
+        make("u8_fitted", U8, Kind::Density, &[Smooth, Ramp], noisy),
+        make("i16_fitted", I16, Kind::Density, &[Smooth, Ramp], noisy),
+        make("u8_coded", U8, Kind::Density, &[Smooth, Ramp], noisy),
+        make("i16_coded", I16, Kind::Density, &[Smooth, Ramp], noisy),
         make("bit_edge_64", Bit, Kind::Mask, &[Few, Noise], |spec, _| {
             spec.brick_edge = 64;
         }),
@@ -206,13 +218,16 @@ impl Small {
     /// The volume as the current writer makes it.
     pub(crate) fn file(&self) -> Vec<u8> {
         let storage = Arc::new(MemoryStorage::default());
-        let writer = VolumeWriter::create_in(
+        let mut writer = VolumeWriter::create_in(
             storage.clone(),
             Path::new("small.bvol"),
             &self.spec,
             &Budget::mib(24).with_threads(1),
         )
         .expect("a good spec");
+        if self.name.ends_with("coded") {
+            writer.set_compression(Compression::Small);
+        }
         let dense = crate::volume::Dense {
             spec: &self.spec,
             raw: &self.raw,

@@ -157,6 +157,7 @@ pub(crate) fn import(
     let options = ImportOptions {
         resume: true,
         levels: 0,
+        ..ImportOptions::default()
     };
     let slab = BYTES as u64 / 2;
     import_in(

@@ -190,6 +190,10 @@ pub(crate) struct Import {
     /// Value of the space that holds nothing
     #[arg(long, value_name = "V", allow_hyphen_values = true, value_parser = parse::finite)]
     pub background: Option<f64>,
+    /// How to compress: fast decodes at gigabytes per second; small makes scans of 8 and 16 bits a fifth to a third smaller
+    /// and decodes slower
+    #[arg(long, value_enum, default_value_t = CompressionMode::Fast)]
+    pub compression: CompressionMode,
     /// Build up to this many coarser levels of detail
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub levels: u8,
@@ -225,6 +229,12 @@ pub(crate) struct RawSource {
     /// Bytes before the first sample
     #[arg(long, value_name = "BYTES", default_value_t = 0, requires = "dims")]
     pub offset: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum CompressionMode {
+    Fast,
+    Small,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

@@ -3,9 +3,10 @@
 //!
 //! Codec numbers (byte 5 of a record): 0 samples as they are; 1 one LZ4 block; from 2 on byte planes
 //! of a [`Filter`]: one u32 per plane with its stored length, then the planes, each as it is (stored
-//! length = plane length) or as an LZ4 block (shorter); 6 is [`rows`].
+//! length = plane length) or as an LZ4 block (shorter); 6 is [`rows`], 7 and 8 are [`fitted`].
 
 use super::filter::{self, Filter};
+use super::fitted::{self, FittedEncoder};
 use super::layout::{brick_bytes, get_u32};
 use super::rows::{self, RowsEncoder};
 use crate::sample::SampleType;
@@ -19,6 +20,10 @@ pub(crate) const CODEC_RAW: u8 = 0;
 pub(crate) const CODEC_LZ4: u8 = 1;
 /// Rows of f32 with masks and packed residuals.
 pub(crate) const CODEC_ROWS: u8 = 6;
+/// Small integers, predicted by a fitted filter: packed.
+pub(crate) const CODEC_FITTED: u8 = 7;
+/// The same with an entropy coder.
+pub(crate) const CODEC_CODED: u8 = 8;
 const FIRST_FILTER: u8 = 2;
 const FILTERS: [Filter; 4] = [
     Filter::Planes,
@@ -30,6 +35,17 @@ const FILTERS: [Filter; 4] = [
 /// Inputs below this use the table of 16-bit entries. One kind of table per length, so that the
 /// bytes do not depend on what was compressed before.
 const SMALL_INPUT: usize = u16::MAX as usize;
+
+/// Which codecs beside the basic ones a file may have, and what to choose by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Choice {
+    /// Codec 6.
+    pub(crate) rows: bool,
+    /// Codecs 7 and 8.
+    pub(crate) fitted: bool,
+    /// Size alone counts; else codec 8 is left out, which decodes several times slower.
+    pub(crate) smallest: bool,
+}
 
 /// The codecs worth a try for a type, cheapest decoder first.
 fn candidates(sample: SampleType, rows: bool) -> &'static [u8] {
@@ -46,7 +62,7 @@ fn candidates(sample: SampleType, rows: bool) -> &'static [u8] {
 /// Bytes that [`Encoder`] holds for bricks of this kind, with its output.
 pub(crate) fn encoder_bytes(sample: SampleType, edge: u32) -> u64 {
     let n = brick_bytes(sample, edge) as u64;
-    6 * n + (64 << 10)
+    10 * n + (64 << 10)
 }
 
 /// Compresses bricks; holds its working buffers.
@@ -55,6 +71,7 @@ pub(crate) struct Encoder {
     packed: Vec<u8>,
     trial: Vec<u8>,
     rows: RowsEncoder,
+    fitted: FittedEncoder,
     small: CompressTable,
     large: CompressTable,
 }
@@ -66,6 +83,7 @@ impl Default for Encoder {
             packed: Vec::new(),
             trial: Vec::new(),
             rows: RowsEncoder::default(),
+            fitted: FittedEncoder::default(),
             small: CompressTable::small(),
             large: CompressTable::large(),
         }
@@ -74,8 +92,7 @@ impl Default for Encoder {
 
 impl Encoder {
     /// Appends the stored form of a brick to `out` and gives its codec. `bytes` is the brick as
-    /// decoded (bits packed); the stored form is never longer. `rows`: the file says that it may
-    /// hold bricks of codec 6.
+    /// decoded (bits packed); the stored form is never longer.
     ///
     /// # Panics
     /// When `bytes` is not a whole brick.
@@ -84,12 +101,30 @@ impl Encoder {
         sample: SampleType,
         edge: u32,
         bytes: &[u8],
-        rows: bool,
+        choice: Choice,
         out: &mut Vec<u8>,
     ) -> u8 {
         assert_eq!(bytes.len(), brick_bytes(sample, edge), "a whole brick");
         let start = out.len();
-        if rows && sample == SampleType::F32 {
+        let mut codec = self.encode_best(sample, edge, bytes, choice, out);
+        if out.len() - start >= bytes.len() {
+            out.truncate(start);
+            out.extend_from_slice(bytes);
+            codec = CODEC_RAW;
+        }
+        codec
+    }
+
+    fn encode_best(
+        &mut self,
+        sample: SampleType,
+        edge: u32,
+        bytes: &[u8],
+        choice: Choice,
+        out: &mut Vec<u8>,
+    ) -> u8 {
+        let start = out.len();
+        if choice.rows && sample == SampleType::F32 {
             // Nearly always the smallest for what it is made for, and cheaper than to try others.
             self.rows.encode(edge, bytes, out);
             if (out.len() - start) * 8 <= bytes.len() * 5 && !is_coarse(bytes) {
@@ -97,21 +132,44 @@ impl Encoder {
             }
             out.truncate(start);
         }
-        let codec = self.choose(sample, edge, bytes, rows);
-        self.encode_as(codec, sample, edge, bytes, out);
-        if out.len() - start < bytes.len() {
+        let (other, expected) = self.choose(sample, edge, bytes, choice.rows);
+        if !(choice.fitted && fitted::is_for(sample)) {
+            self.encode_as(other, sample, edge, bytes, out);
+            return other;
+        }
+        self.fitted.predict(sample, edge, bytes);
+        self.fitted.pack(out);
+        let mut codec = CODEC_FITTED;
+        let mut length = out.len() - start;
+        if choice.smallest {
+            self.fitted.code(sample, out);
+            let coded = out.len() - start - length;
+            if coded < length {
+                out.drain(start..start + length);
+                (codec, length) = (CODEC_CODED, coded);
+            } else {
+                out.truncate(start + length);
+            }
+        }
+        if length <= expected - expected / 32 {
             return codec;
         }
-        out.truncate(start);
-        out.extend_from_slice(bytes);
-        CODEC_RAW
+        let end = out.len();
+        self.encode_as(other, sample, edge, bytes, out);
+        if out.len() - end <= length {
+            out.drain(start..end);
+            return other;
+        }
+        out.truncate(end);
+        codec
     }
 
-    /// Tries the candidates on a few slices in the middle.
-    fn choose(&mut self, sample: SampleType, edge: u32, bytes: &[u8], rows: bool) -> u8 {
+    /// Tries the candidates on a few slices in the middle; gives the best and the length to expect of
+    /// the whole brick.
+    fn choose(&mut self, sample: SampleType, edge: u32, bytes: &[u8], rows: bool) -> (u8, usize) {
         let candidates = candidates(sample, rows);
         if let [only] = candidates {
-            return *only;
+            return (*only, bytes.len());
         }
         let slice = bytes.len() / edge as usize;
         let first = if edge <= 8 { 0 } else { edge as usize / 2 - 2 };
@@ -128,7 +186,7 @@ impl Encoder {
             }
         }
         self.trial = trial;
-        best
+        (best, best_len.min(some.len()) * (bytes.len() / some.len()))
     }
 
     /// Appends `bytes` (whole slices) in the form of `codec`.
@@ -147,6 +205,13 @@ impl Encoder {
                 out.extend_from_slice(&self.packed[..n]);
             }
             CODEC_ROWS => self.rows.encode(edge, bytes, out),
+            CODEC_FITTED | CODEC_CODED => {
+                self.fitted.predict(sample, edge, bytes);
+                match codec {
+                    CODEC_FITTED => self.fitted.pack(out),
+                    _ => self.fitted.code(sample, out),
+                }
+            }
             _ => {
                 let width = sample.bytes();
                 let mut planes = std::mem::take(&mut self.planes);
@@ -243,7 +308,15 @@ pub(crate) fn decode(
         CODEC_RAW => Err("stored length differs from the brick's"),
         CODEC_LZ4 => unpack(stored, out),
         CODEC_ROWS if sample == SampleType::F32 => rows::decode(stored, edge, out),
-        CODEC_ROWS => Err("the codec does not fit the sample type"),
+        CODEC_FITTED | CODEC_CODED if fitted::is_for(sample) => {
+            let samples = out.len() / sample.bytes();
+            if scratch.len() < 2 * samples {
+                scratch.resize(2 * samples, 0);
+            }
+            let words = &mut scratch.as_chunks_mut::<2>().0[..samples];
+            fitted::decode(codec == CODEC_FITTED, stored, sample, edge, out, words)
+        }
+        CODEC_ROWS | CODEC_FITTED | CODEC_CODED => Err("the codec does not fit the sample type"),
         _ => decode_planes(codec, stored, sample, edge, out, scratch),
     }
 }
@@ -391,8 +464,17 @@ mod tests {
             SampleType::F32 => CODEC_ROWS,
             _ => 4,
         };
-        (0..=last).collect()
+        let fitted = [CODEC_FITTED, CODEC_CODED].into_iter();
+        (0..=last)
+            .chain(fitted.filter(|_| fitted::is_for(sample)))
+            .collect()
     }
+
+    const ALL: Choice = Choice {
+        rows: true,
+        fitted: true,
+        smallest: true,
+    };
 
     #[test]
     fn codec_round_trip() {
@@ -402,7 +484,7 @@ mod tests {
             for edge in [8, 16, 32] {
                 for brick in bricks(sample, edge) {
                     stored.clear();
-                    let codec = encoder.encode(sample, edge, &brick, true, &mut stored);
+                    let codec = encoder.encode(sample, edge, &brick, ALL, &mut stored);
                     assert!(stored.len() <= brick.len());
                     let mut back = vec![0xaa; brick.len()];
                     decode(codec, &stored, sample, edge, &mut back, &mut scratch).expect("decodes");
@@ -422,16 +504,27 @@ mod tests {
     }
 
     #[test]
-    fn codec_rows_only_where_the_file_allows_them() {
+    fn codec_rows_and_fits_only_where_the_file_allows_them() {
         let mut encoder = Encoder::default();
         let mut chosen = Vec::new();
         for brick in bricks(SampleType::F32, 16) {
             let mut encode =
-                |rows| encoder.encode(SampleType::F32, 16, &brick, rows, &mut Vec::new());
-            assert_ne!(encode(false), CODEC_ROWS);
-            chosen.push(encode(true));
+                |choice| encoder.encode(SampleType::F32, 16, &brick, choice, &mut Vec::new());
+            assert_ne!(encode(Choice::default()), CODEC_ROWS);
+            chosen.push(encode(ALL));
         }
         assert_eq!(chosen[0], CODEC_ROWS, "smooth: {chosen:?}");
+        for sample in [SampleType::U8, SampleType::I16] {
+            let brick = &bricks(sample, 16)[0];
+            let mut encode = |choice| encoder.encode(sample, 16, brick, choice, &mut Vec::new());
+            assert!(encode(Choice::default()) < CODEC_ROWS);
+            let fast = Choice {
+                smallest: false,
+                ..ALL
+            };
+            assert_eq!(encode(fast), CODEC_FITTED);
+            assert_eq!(encode(ALL), CODEC_CODED);
+        }
     }
 
     #[test]
@@ -440,14 +533,14 @@ mod tests {
         let encode = |encoder: &mut Encoder| {
             let mut out = Vec::new();
             (
-                encoder.encode(SampleType::F32, 32, brick, true, &mut out),
+                encoder.encode(SampleType::F32, 32, brick, ALL, &mut out),
                 out,
             )
         };
         let fresh = encode(&mut Encoder::default());
         let mut used = Encoder::default();
         for other in bricks(SampleType::U32, 64) {
-            used.encode(SampleType::U32, 64, &other, true, &mut Vec::new());
+            used.encode(SampleType::U32, 64, &other, ALL, &mut Vec::new());
         }
         assert!(encode(&mut used) == fresh);
     }
@@ -474,13 +567,16 @@ mod tests {
                 stored.push(0);
                 assert!(decode(codec, &stored, sample, 8, &mut out, &mut scratch).is_err());
             }
-            for codec in CODEC_ROWS + 1..=255 {
+            for codec in CODEC_CODED + 1..=255 {
                 assert!(decode(codec, brick, sample, 8, &mut out, &mut scratch).is_err());
             }
         }
         let mut out = vec![0; brick_bytes(SampleType::I16, 8)];
         for codec in [5, CODEC_ROWS] {
             assert!(decode(codec, &[0; 16], SampleType::I16, 8, &mut out, &mut scratch).is_err());
+        }
+        for codec in [CODEC_FITTED, CODEC_CODED] {
+            assert!(decode(codec, &[0; 16], SampleType::I32, 8, &mut out, &mut scratch).is_err());
         }
     }
 
@@ -503,7 +599,10 @@ mod tests {
                 }
                 if codec >= FIRST_FILTER {
                     // Length of the first plane, or of the masks.
-                    let at = if codec == CODEC_ROWS { 8 } else { 0 };
+                    let at = match codec {
+                        CODEC_ROWS | CODEC_FITTED | CODEC_CODED => 8,
+                        _ => 0,
+                    };
                     stored[at..at + 4].fill(0xff);
                     assert!(decode(codec, &stored, sample, 8, &mut out, &mut scratch).is_err());
                 }

@@ -96,7 +96,7 @@ impl BrickEncoder {
         out.resize(start + RECORD_HEADER, 0);
         let codec = self
             .encoder
-            .encode(spec.sample, spec.brick_edge, bytes, writer.rows, out);
+            .encode(spec.sample, spec.brick_edge, bytes, writer.choice, out);
         let head = Head {
             codec,
             decoded: bytes.len() as u32,

@@ -2,7 +2,7 @@
 //! feature `fuzzing`.
 
 use super::catalog::{decode_attributes, decode_catalog, encode_attributes};
-use super::codec::{Encoder, decode};
+use super::codec::{Choice, Encoder, decode};
 use super::layout::brick_bytes;
 use super::meta;
 use super::page::{Page, PageRules};
@@ -49,12 +49,17 @@ pub fn brick(how: [u8; 2], stored: &[u8]) {
     let mut scratch = Vec::new();
     // Damaged streams give an error or some samples; whatever comes is as long as the brick.
     let _ = decode(how[1], stored, sample, 8, &mut out, &mut scratch);
-    assert!(scratch.len() <= out.len());
+    assert!(scratch.len() <= 2 * out.len());
     for (byte, value) in out.iter_mut().zip(stored) {
         *byte = *value;
     }
     let (mut packed, mut back) = (Vec::new(), vec![0; out.len()]);
-    let codec = Encoder::default().encode(sample, 8, &out, true, &mut packed);
+    let choice = Choice {
+        rows: true,
+        fitted: true,
+        smallest: how[1] & 1 == 0,
+    };
+    let codec = Encoder::default().encode(sample, 8, &out, choice, &mut packed);
     decode(codec, &packed, sample, 8, &mut back, &mut scratch).expect("its own output");
     assert!(back == out, "the brick changed");
 }

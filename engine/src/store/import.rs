@@ -4,7 +4,7 @@ use super::aside::Aside;
 use super::open::Opened;
 use super::slabs::fill;
 use super::source::{SOURCE_CHUNK, Source};
-use super::spec::{VolumeInfo, VolumeSpec};
+use super::spec::{Compression, VolumeInfo, VolumeSpec};
 use super::storage::{FileStorage, Storage};
 use super::volume::Volume;
 use super::writer::{VolumeWriter, take_lock};
@@ -26,6 +26,8 @@ pub struct ImportOptions {
     pub resume: bool,
     /// Coarser levels to build, at most; see [`Volume::level`](super::Volume::level).
     pub levels: u8,
+    /// How to compress. An import that is resumed with another setting goes on with that one.
+    pub compression: Compression,
 }
 
 /// Where an import keeps what it has until it is whole: `OUT.partial`. It stays there when the
@@ -164,6 +166,7 @@ fn run(
     commit_bytes: u64,
     budget: &Budget,
 ) -> Result<VolumeInfo> {
+    writer.set_compression(options.compression);
     if resumed && writer.parts[0].mark().0 == 0 {
         // Killed before the rename.
         return match check_whole(&mut source, &mut writer, place, options, budget) {

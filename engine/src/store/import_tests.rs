@@ -111,6 +111,7 @@ fn a_stopped_import_goes_on() {
         let options = ImportOptions {
             resume: true,
             levels,
+            ..ImportOptions::default()
         };
         let import = |source: &mut dyn Read, threads: usize| {
             let budget = Budget::mib(24).with_threads(threads);
@@ -239,6 +240,7 @@ fn an_import_killed_at_any_call_goes_on_to_the_same_bytes() {
         let options = ImportOptions {
             resume: true,
             levels,
+            ..ImportOptions::default()
         };
         let import = |bytes: &Arc<MemoryStorage>, calls: usize| {
             let storage = Arc::new(Killed {

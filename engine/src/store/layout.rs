@@ -73,8 +73,11 @@ pub(crate) const KNOWN_RO_COMPAT: u64 = 0;
 /// `incompat`: f32 bricks may have codec 6.
 pub(crate) const INCOMPAT_ROWS: u64 = 1 << 3;
 
+/// `incompat`: bricks of u8, i8, u16 and i16 may have codecs 7 and 8.
+pub(crate) const INCOMPAT_FITTED: u64 = 1 << 4;
+
 /// Bits of the `incompat` word that this version understands.
-pub(crate) const KNOWN_INCOMPAT: u64 = INCOMPAT_ROWS;
+pub(crate) const KNOWN_INCOMPAT: u64 = INCOMPAT_ROWS | INCOMPAT_FITTED;
 
 /// Names of feature bits that are planned, so that an old reader can name what it lacks.
 pub(crate) fn incompat_name(bit: u32) -> &'static str {
@@ -83,6 +86,7 @@ pub(crate) fn incompat_name(bit: u32) -> &'static str {
         1 => "chunks of several bricks",
         2 => "more than one channel",
         3 => "f32 bricks of predicted rows",
+        4 => "bricks of small integers with a fitted prediction",
         _ => "unnamed",
     }
 }

@@ -1,7 +1,7 @@
 //! Speed and size of the codecs, for `docs/why.md`. Not a test of behaviour beyond the round trip:
 //! `cargo test --release -p brickmarch --lib measure -- --ignored --nocapture`.
 
-use super::codec::{Encoder, decode};
+use super::codec::{Choice, Encoder, decode};
 use super::layout::brick_bytes;
 use super::write_field::write_field;
 use super::{Volume, VolumeSpec, import_stream};
@@ -14,6 +14,12 @@ use std::f32::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::Instant;
+
+const CHOICE: Choice = Choice {
+    rows: true,
+    fitted: true,
+    smallest: false,
+};
 
 fn gyroid(p: [i32; 3], period: f32) -> f32 {
     let [x, y, z] = p.map(|v| v as f32 * TAU / period);
@@ -121,19 +127,33 @@ fn measure_codecs() {
     if let Some(raw) = shared("ct_abdomen_crop128.raw") {
         inputs.push(("ct i16", SampleType::I16, raw, [n; 3]));
     }
+    if let Some(raw) = shared("ct_abdomen_u8_crop128.raw") {
+        inputs.push(("ct u8", SampleType::U8, raw, [n; 3]));
+    }
     for (name, sample, raw, size) in &inputs {
-        for edge in [16u32, 32, 64] {
+        for edge in [16u32, 32] {
             let bricks = bricks(*sample, raw, *size, edge as usize);
             let bytes: usize = bricks.iter().map(Vec::len).sum();
             let mut encoder = Encoder::default();
             let mut scratch = Vec::new();
             let mut out = vec![0; brick_bytes(*sample, edge)];
-            for codec in [None, Some(1), Some(2), Some(3), Some(4), Some(5), Some(6)] {
-                if codec >= Some(5) && *sample != SampleType::F32 {
+            for codec in [
+                None,
+                Some(1),
+                Some(2),
+                Some(3),
+                Some(4),
+                Some(5),
+                Some(6),
+                Some(7),
+                Some(8),
+            ] {
+                let float = *sample == SampleType::F32;
+                if float && codec > Some(6) || !float && matches!(codec, Some(5 | 6)) {
                     continue;
                 }
                 let (mut encode_s, mut decode_s, mut stored_bytes) = (f64::MAX, f64::MAX, 0);
-                let mut chosen = [0usize; 7];
+                let mut chosen = [0usize; 9];
                 for _ in 0..3 {
                     let start = Instant::now();
                     let stored: Vec<(u8, Vec<u8>)> = bricks
@@ -141,7 +161,7 @@ fn measure_codecs() {
                         .map(|brick| {
                             let mut stored = Vec::new();
                             let used = match codec {
-                                None => encoder.encode(*sample, edge, brick, true, &mut stored),
+                                None => encoder.encode(*sample, edge, brick, CHOICE, &mut stored),
                                 Some(codec) => {
                                     encoder.encode_as(codec, *sample, edge, brick, &mut stored);
                                     codec

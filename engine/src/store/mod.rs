@@ -20,6 +20,7 @@ mod edit_tests;
 mod encode;
 mod fill;
 mod filter;
+mod fitted;
 #[cfg(feature = "fuzzing")]
 #[doc(hidden)]
 pub mod fuzzing;
@@ -41,6 +42,7 @@ mod page;
 mod patch;
 mod pin;
 mod ranges;
+mod rans;
 #[cfg(test)]
 mod reader_tests;
 mod record;
@@ -64,7 +66,7 @@ pub use import::{
     ImportOptions, import_in, import_plain, import_stream, import_with, partial_path,
 };
 pub use label::{LabelField, LabelNumbers};
-pub use spec::{VolumeInfo, VolumeSpec, default_brick_edge};
+pub use spec::{Compression, VolumeInfo, VolumeSpec, default_brick_edge};
 pub use storage::{FileStorage, MemoryStorage, Storage};
 pub use verify::{MAX_PROBLEMS, Problem, Report, verify, verify_in};
 pub use volume::Volume;

@@ -19,12 +19,16 @@ use crate::cpu::Level;
 #[path = "rows_vector.rs"]
 mod vector;
 
+pub(super) use vector::Basic;
+#[cfg(target_arch = "x86_64")]
+pub(super) use vector::{Avx2, Avx512};
+
 /// Samples of a group; bricks of edge 8 leave the upper half empty.
 const LANES: usize = 16;
 /// Lowest and highest clip value, bytes of masks, bytes of widths: four u32.
 const HEADER: usize = 16;
 /// The longest packed group: 16 words of 32 bits.
-const WINDOW: usize = 4 * LANES;
+pub(super) const WINDOW: usize = 4 * LANES;
 /// Bits of what is not there.
 const MISSING: u32 = f32::NAN.to_bits();
 
@@ -34,7 +38,7 @@ const LIKE_Z: u8 = 1;
 const INTERVAL: u8 = 2;
 
 /// What differs between processors: floats and words of 16 lanes, on which all else is built.
-trait Lanes {
+pub(super) trait Lanes {
     type Floats: Copy;
     type Words: Copy;
 
@@ -88,7 +92,7 @@ trait Lanes {
     }
 }
 
-struct Portable;
+pub(super) struct Portable;
 
 impl Lanes for Portable {
     type Floats = [f32; LANES];

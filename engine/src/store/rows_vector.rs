@@ -7,10 +7,10 @@
 )]
 
 #[cfg(not(target_arch = "x86_64"))]
-use super::Portable as Basic;
+pub(in crate::store) use super::Portable as Basic;
 use super::{Level, RowsEncoder, decode_all};
 #[cfg(target_arch = "x86_64")]
-use x86::Sse2 as Basic;
+pub(in crate::store) use x86::{Avx2, Avx512, Sse2 as Basic};
 
 pub(super) fn decode(
     level: Level,
@@ -165,7 +165,7 @@ mod x86 {
         )*};
     }
 
-    pub(super) struct Avx512;
+    pub(in crate::store) struct Avx512;
 
     impl Lanes for Avx512 {
         type Floats = __m512;
@@ -224,7 +224,7 @@ mod x86 {
         }
     }
 
-    pub(super) struct Avx2;
+    pub(in crate::store) struct Avx2;
 
     /// Eight lanes all ones where the low bits of `mask` are set.
     #[inline(always)]
@@ -354,7 +354,7 @@ mod x86 {
     }
 
     /// What every processor of the architecture has.
-    pub(super) struct Sse2;
+    pub(in crate::store) struct Sse2;
 
     type Floats4 = [__m128; 4];
     type Words4 = [__m128i; 4];

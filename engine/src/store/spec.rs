@@ -7,6 +7,17 @@ use crate::field::Range;
 use crate::lattice::{Box3, Grid};
 use crate::sample::{Kind, SampleType};
 
+/// What the encoder of bricks chooses by. Reading needs no setting.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Compression {
+    /// Codecs that decode at gigabytes per second.
+    #[default]
+    Fast,
+    /// The smallest file: samples of 8 and 16 bits get an entropy coder, which takes a scan to two
+    /// thirds to four fifths of its fast size and decodes several times slower. Other samples as `Fast`.
+    Small,
+}
+
 /// What a volume is: where its samples are and what they mean.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeSpec {

@@ -2,18 +2,19 @@
 
 use super::aside::{Aside, create_aside};
 use super::catalog::{Counts, encode_attributes};
-use super::codec::encoder_bytes;
+use super::codec::{Choice, encoder_bytes};
 use super::commit::{Saved, SavedPart};
 use super::encode::{Batch, BrickEncoder, Encoded};
+use super::fitted;
 use super::layout::{
-    FILE_ID_BYTES, INCOMPAT_ROWS, KNOWN_RO_COMPAT, LOG_START, MAX_VOLUMES, brick_bytes,
-    record_bytes,
+    FILE_ID_BYTES, INCOMPAT_FITTED, INCOMPAT_ROWS, KNOWN_RO_COMPAT, LOG_START, MAX_VOLUMES,
+    brick_bytes, record_bytes,
 };
 use super::log::Log;
 use super::open::{Contents, Opened};
 use super::page::PageRules;
 use super::record::{Ref, Superblock, seed_of};
-use super::spec::{VolumeInfo, VolumeSpec};
+use super::spec::{Compression, VolumeInfo, VolumeSpec};
 use super::storage::{FileStorage, Storage};
 use super::tree::Tree;
 use super::value::{KeyRange, bits_of, exact_bits_of};
@@ -59,8 +60,8 @@ pub struct VolumeWriter {
     /// Puts share it, a commit has it alone.
     pub(super) gate: RwLock<()>,
     pub(super) replace: bool,
-    /// Whether f32 bricks may have codec 6: said in the header of the file, once and for ever.
-    pub(super) rows: bool,
+    /// Which codecs there may be is said in the header of the file, once and for ever.
+    pub(super) choice: Choice,
     writer: u64,
     /// Whether the next commit makes a sealed file.
     pub(super) sealed: bool,
@@ -212,9 +213,12 @@ impl VolumeWriter {
     ) -> Result<Self> {
         let place = aside.as_ref().map_or(path, |a| a.path()).to_path_buf();
         let id = file_id(spec);
-        // A file that starts with other samples stays readable without that codec.
-        let rows = spec.sample == SampleType::F32;
-        let incompat = if rows { INCOMPAT_ROWS } else { 0 };
+        // A file that starts with other samples stays readable without those codecs.
+        let incompat = match spec.sample {
+            SampleType::F32 => INCOMPAT_ROWS,
+            sample if fitted::is_for(sample) => INCOMPAT_FITTED,
+            _ => 0,
+        };
         let log = Log::create(storage.clone(), is_locked, place.clone(), &id, incompat)?;
         let file = Opened {
             storage,
@@ -239,7 +243,7 @@ impl VolumeWriter {
             }),
             gate: RwLock::default(),
             replace: false,
-            rows,
+            choice: choice_of(incompat),
             // Nobody else knows a file that has no name yet.
             writer: 0,
             sealed: false,
@@ -290,7 +294,7 @@ impl VolumeWriter {
             });
         }
         Ok(Self {
-            rows: file.incompat & INCOMPAT_ROWS != 0,
+            choice: choice_of(file.incompat),
             log: Log::open(&file, is_locked)?,
             parts,
             saved: Mutex::new(Saved { file, parts: saved }),
@@ -302,6 +306,21 @@ impl VolumeWriter {
             aside: None,
             budget: budget.clone(),
         })
+    }
+
+    /// Says how bricks that are put from now on are compressed.
+    ///
+    /// ```
+    /// # use brickmarch::{Box3, Budget, Grid, SampleType};
+    /// # use brickmarch::store::{Compression, VolumeSpec, VolumeWriter};
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// let spec = VolumeSpec::new(Grid::new(Box3::from_size([64; 3])), SampleType::U8);
+    /// let path = folder.path().join("small.bvol");
+    /// let mut writer = VolumeWriter::create(&path, &spec, &Budget::mib(24)).unwrap();
+    /// writer.set_compression(Compression::Small);
+    /// ```
+    pub fn set_compression(&mut self, compression: Compression) {
+        self.choice.smallest = compression == Compression::Small;
     }
 
     /// Adds another volume to the file and gives its number for
@@ -603,6 +622,14 @@ impl VolumeWriter {
             &saved.file.root,
             length,
         ))
+    }
+}
+
+fn choice_of(incompat: u64) -> Choice {
+    Choice {
+        rows: incompat & INCOMPAT_ROWS != 0,
+        fitted: incompat & INCOMPAT_FITTED != 0,
+        smallest: false,
     }
 }
 

@@ -2,11 +2,11 @@
 
 use super::{named, seconds, short};
 use crate::Outcome;
-use crate::args::{Endian, Import};
+use crate::args::{CompressionMode, Endian, Import};
 use crate::job::Job;
 use crate::output::{self, Replace};
 use brickmarch::budget::human_bytes;
-use brickmarch::store::{self, ImportOptions, VolumeInfo, VolumeSpec};
+use brickmarch::store::{self, Compression, ImportOptions, VolumeInfo, VolumeSpec};
 use brickmarch::{Budget, Grid, Result};
 use brickmarch_formats::{OpenOptions, RawLayout, open_volume};
 use serde_json::json;
@@ -100,6 +100,10 @@ fn import(args: &Import, replace: Replace, budget: &Budget) -> Result<Imported> 
     let how = ImportOptions {
         resume: args.resume,
         levels: args.levels,
+        compression: match args.compression {
+            CompressionMode::Fast => Compression::Fast,
+            CompressionMode::Small => Compression::Small,
+        },
     };
     import_file(
         &args.source,
