@@ -98,12 +98,16 @@ pub(crate) fn all() -> Vec<Small> {
     use SampleType::{Bit, F32, I8, I16, I32, U8, U16, U32};
     let six = [Few, Background, Constant, Noise, Ramp, Smooth];
     let plain = |_: &mut VolumeSpec, _: &mut Vec<u8>| {};
-    let noisy = |spec: &mut VolumeSpec, raw: &mut Vec<u8>| {
-        spec.brick_edge = 16;
-        let width = spec.sample.bytes();
-        for (n, low) in raw.iter_mut().step_by(width).enumerate() {
-            *low ^= (hash([n as u32, 5, 7]) >> 13 & 7) as u8;
+    // Noise of many values, and of few that are rare.
+    let noise = |spec: &VolumeSpec, raw: &mut [u8], value: fn(u32) -> u32| {
+        for (n, sample) in raw.chunks_mut(spec.sample.bytes()).enumerate() {
+            sample[0] = 90 + value(hash([n as u32, 5, 7]) >> 9) as u8;
+            sample[1..].fill(3);
         }
+    };
+    let even = |spec: &mut VolumeSpec, raw: &mut Vec<u8>| noise(spec, raw, |h| h & 31);
+    let rare = |spec: &mut VolumeSpec, raw: &mut Vec<u8>| {
+        noise(spec, raw, |h| if h & 7 == 0 { 1 + (h >> 8 & 1) } else { 0 });
     };
     vec![
         make("bit_mask", Bit, Kind::Mask, &six, plain),
@@ -193,11 +197,11 @@ pub(crate) fn all() -> Vec<Small> {
                 }
             },
         ),
-        // Slopes with noise, as scans have them.
-        make("u8_fitted", U8, Kind::Density, &[Smooth, Ramp], noisy),
-        make("i16_fitted", I16, Kind::Density, &[Smooth, Ramp], noisy),
-        make("u8_coded", U8, Kind::Density, &[Smooth, Ramp], noisy),
-        make("i16_coded", I16, Kind::Density, &[Smooth, Ramp], noisy),
+        // Noise, as scans have it.
+        make("u8_fitted", U8, Kind::Density, &[Smooth, Ramp], even),
+        make("i16_fitted", I16, Kind::Density, &[Smooth, Ramp], even),
+        make("u8_coded", U8, Kind::Density, &[Smooth, Ramp], rare),
+        make("i16_coded", I16, Kind::Density, &[Smooth, Ramp], rare),
         make("bit_edge_64", Bit, Kind::Mask, &[Few, Noise], |spec, _| {
             spec.brick_edge = 64;
         }),
