@@ -134,6 +134,34 @@ fn colours_follow_the_parts() {
     assert!(seen[0] > 20 && seen[1] > 20, "{seen:?}");
 }
 
+#[test]
+fn a_redistanced_scan_can_be_offset() {
+    let scratch = Scratch::new("model-redistance");
+    // A density of a ball of radius 12, of no useful scale.
+    let value = |n: i32| {
+        let at = [n % 40, n / 40 % 40, n / 1600];
+        let square: f32 = at.map(|c| (c as f32 - 19.3).powi(2)).iter().sum();
+        (-square / 60.0).exp() * 1000.0
+    };
+    let values: Vec<f32> = (0..64_000).map(value).collect();
+    scratch.write("ball.raw", f32_bytes(&values));
+    let iso = (-144.0f32 / 60.0).exp() * 1000.0;
+    let scene = format!(
+        "bounds = {{ min = [0, 0, 0], max = [39, 39, 39] }}\n[parts.scan]\nshape = \"volume\"\n\
+         file = \"ball.raw\"\ndims = [40, 40, 40]\ntype = \"f32\"\niso = {iso}\nredistance = 4\n\
+         [model]\nuse = \"scan\"\n"
+    );
+    for offset in [-2.0f64, 2.0] {
+        scratch.write("scan.toml", format!("{scene}offset = {offset}\n"));
+        let line = "model @scan.toml @out.ply --resolution 78 --overwrite";
+        let found = json(&scratch, line)["signed_volume"]
+            .as_f64()
+            .expect("a number");
+        let known = 4.0 / 3.0 * std::f64::consts::PI * (12.0 + offset).powi(3);
+        assert!((found / known - 1.0).abs() < 0.02, "{found}, {known}");
+    }
+}
+
 /// Scenes in files of their own, wrong in one way each.
 fn scenes(scratch: &Scratch) {
     let scene = |name: &str, rest: &str| {
@@ -200,6 +228,10 @@ fn scenes(scratch: &Scratch) {
         "leaf-dims",
         &leaf("short.raw", "dims = [4, 0, 4]\ntype = \"f32\"\niso = 1"),
     );
+    let good = "dims = [4, 5, 1]\ntype = \"f32\"\niso = 1\nredistance = 1";
+    scene("leaf-flat", &leaf("short.raw", good));
+    let level = "dims = [5, 2, 2]\ntype = \"f32\"\niso = 1\nas = \"level\"\nredistance = 1";
+    scene("leaf-as", &leaf("short.raw", level));
     scene(
         "leaf-iso",
         &leaf("short.raw", "dims = [4, 5, 1]\ntype = \"f32\""),
@@ -284,6 +316,16 @@ fn wrong_scenes_and_options_are_one_error_with_place_and_remedy() {
                 "model @leaf-dims.toml @out.ply",
                 1,
                 &["leaf-dims.toml:", "'dims'", "whole numbers from 1"],
+            ),
+            case(
+                "model @leaf-flat.toml @out.ply",
+                1,
+                &["leaf-flat.toml:8: ", "two samples"],
+            ),
+            case(
+                "model @leaf-as.toml @out.ply",
+                1,
+                &["leaf-as.toml:9: ", "leave 'as' out"],
             ),
             case(
                 "model @leaf-iso.toml @out.ply",
