@@ -659,3 +659,51 @@ fn no_thin_slab_is_missed() {
     }
     assert!(met > 0 && missed < 20_000, "{met} {missed}");
 }
+
+#[test]
+fn rays_pass_through_cells_without_values_and_keep_to_their_region() {
+    // x - 4.5, with a NaN at x = 5: the crossing lies in a cell that has no values.
+    let domain = Box3::from_size([10, 3, 3]);
+    let value = |nan: bool, p: [i32; 3]| match p[0] {
+        5 if nan => f32::NAN,
+        x => x as f32 - 4.5,
+    };
+    let budget = Budget::mib(8);
+    let field = |nan: bool| {
+        FromFn::new(
+            Grid::new(domain),
+            Kind::Density,
+            move |p| value(nan, p),
+            |_| Range::UNKNOWN,
+        )
+    };
+    let ray = Ray {
+        origin: [-1.0, 1.0, 1.0],
+        direction: [2.0, 0.0, 0.0],
+    };
+    for (nan, region, crossing, length) in [
+        (false, domain, Some(2.75), 4.5),
+        (true, domain, None, 3.5),
+        (false, Box3::new([5, 0, 0], [10, 3, 3]), None, 2.0),
+        (false, Box3::new([2, 1, 1], [8, 2, 2]), Some(2.75), 2.5),
+    ] {
+        let field = field(nan);
+        let rays = Rays::new(&field, region, &budget).expect("prepares");
+        let mut cursor = Cursor::new(&field, &budget).expect("fits");
+        let found = rays
+            .first_crossing(&mut cursor, &ray, 0.0, 0.0)
+            .expect("casts");
+        let expected = crossing.map(|t| Crossing { t, rising: true });
+        assert_eq!(found, expected, "{nan} {region}");
+        let sum = rays.integral(&mut cursor, &ray).expect("casts");
+        assert!(
+            (sum.length - length).abs() < 1e-12,
+            "{nan} {region}: {sum:?}"
+        );
+        let peak = rays
+            .maximum(&mut cursor, &ray)
+            .expect("casts")
+            .expect("values");
+        assert_eq!(peak.value, f64::from(region.max[0]) - 1.0 - 4.5);
+    }
+}
