@@ -20,7 +20,7 @@ use hyper::{Method, Request, Response, StatusCode};
 use serde_json::{Value, json};
 use std::convert::Infallible;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 const PAGE: &str = include_str!("page.html");
 /// The page holds all that it needs, and may be a part of no other.
@@ -33,6 +33,8 @@ const LEVEL: HeaderName = HeaderName::from_static("x-brickmarch-level");
 /// Parts of regions that are read at one time: the largest that leaves most of the memory to others.
 const PART_BYTES: [u64; 4] = [16 << 20, 4 << 20, 1 << 20, PART_BYTES_MIN];
 const PART_BYTES_MIN: u64 = 256 << 10;
+/// How long a surface waits for its memory.
+const PATIENCE: Duration = Duration::from_secs(2);
 /// Edge that a preview is drawn at, unless another level is asked for.
 const PREVIEW_EDGE: u32 = 256;
 
@@ -130,6 +132,11 @@ async fn respond(site: &Arc<Site>, request: &Request<Incoming>) -> Answer {
                 (Part::Preview, None) => preview_level(site, &name).await?,
                 _ => query.level()?,
             };
+            // Surfaces wait for their turn before they hold anything.
+            let turn = match part {
+                Part::Mesh | Part::Preview => Some(site.surfaces.acquire().await),
+                _ => None,
+            };
             let shown = {
                 let site = site.clone();
                 work(move || site.shelf.get(&name, level)).await?
@@ -142,6 +149,7 @@ async fn respond(site: &Arc<Site>, request: &Request<Incoming>) -> Answer {
             } else {
                 part_of(site, shown, part, query).await?
             };
+            drop(turn);
             let headers = response.headers_mut();
             headers.insert(header::ETAG, tag);
             // Kept, but asked for again each time: the file may have grown.
@@ -168,11 +176,8 @@ async fn part_of(site: &Arc<Site>, shown: Arc<Shown>, part: Part, query: Query) 
                 _ => None,
             };
             let bytes = surface::memory(picture.as_ref(), site.budget.memory_bytes())?;
-            let Ok(turn) = site.surfaces.acquire().await else {
-                return Err(Refusal::busy());
-            };
             // A share of its own, so that it never takes what others were promised.
-            let share = site.budget.try_take(bytes).ok_or_else(Refusal::busy)?;
+            let share = patient(&site.budget, bytes).await?;
             let budget = Budget::bytes(bytes).with_threads(site.budget.threads());
             let gone = CancelOnDrop(budget.cancel_token());
             let (inner, share) = (site.clone(), Arc::new(share));
@@ -181,9 +186,23 @@ async fn part_of(site: &Arc<Site>, shown: Arc<Shown>, part: Part, query: Query) 
                 Some(look) => preview(&inner, &shown, &surface, &look, &budget),
             })
             .await;
-            drop((gone, turn));
+            drop(gone);
             answer
         }
+    }
+}
+
+/// Takes a large permit, for which small answers may have to end first.
+async fn patient(budget: &Budget, bytes: u64) -> Result<Permit, Refusal> {
+    let begun = Instant::now();
+    loop {
+        if let Some(permit) = budget.try_take(bytes) {
+            return Ok(permit);
+        }
+        if begun.elapsed() > PATIENCE {
+            return Err(Refusal::busy());
+        }
+        tokio::time::sleep(PATIENCE / 100).await;
     }
 }
 

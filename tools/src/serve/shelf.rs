@@ -45,6 +45,9 @@ pub(super) struct Shelf {
     budget: Budget,
 }
 
+/// Enough to open a volume and see its root page.
+const PROBE_BYTES: u64 = 2 << 20;
+
 /// What tells whether a path leads to another file than before.
 type FileNumber = (u64, u64);
 
@@ -184,12 +187,26 @@ impl Shelf {
                 drop(shown);
                 self.budget.try_take(self.share).ok_or_else(Refusal::busy)?
             }
+            _ if !replaced && self.is_newest(&shown) => return Ok(shown),
             _ => match self.budget.try_take(self.share) {
                 Some(share) => share,
                 None => return Ok(shown),
             },
         };
         self.load(place, level, share)
+    }
+
+    /// Whether the file has no newer generation, as far as can be told now.
+    fn is_newest(&self, shown: &Shown) -> bool {
+        let entry = &self.entries[shown.place];
+        let Some(permit) = self.budget.try_take(PROBE_BYTES) else {
+            return true;
+        };
+        let budget = Budget::bytes(permit.bytes());
+        let newest = Volume::open_named(&entry.path, &entry.inner, &budget);
+        newest.is_ok_and(|v| {
+            (v.file_mark(), v.generation()) == (shown.volume.file_mark(), shown.volume.generation())
+        })
     }
 }
 
