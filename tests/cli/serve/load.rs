@@ -100,7 +100,7 @@ fn eight_clients_inside_one_budget() {
 fn all_kinds_of_requests_at_one_time() {
     let scratch = super::gyroid("serve-kinds", 64);
     let server = Server::start(&scratch, &format!("@g.bvol @flat.bvol --mem {MEM}"));
-    let rounds = if size().0 == 1024 { 40 } else { 2 };
+    let rounds = if size().0 == 1024 { 12 } else { 2 };
     let kinds = [
         "/api/volumes/g/preview?iso=0.5",
         "/api/volumes/g/mesh?iso=-0.5&level=1&format=stl",
