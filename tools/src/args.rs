@@ -467,15 +467,9 @@ pub(crate) enum SmoothMode {
 }
 
 /// A shaded picture of the surface, drawn while it is made.
+/// How a surface is looked at.
 #[derive(Args, Debug, Clone)]
-#[command(next_help_heading = "Picture")]
-pub(crate) struct Shot {
-    /// Write a shaded picture of the surface too
-    #[arg(long, value_name = "FILE.png")]
-    pub picture: Option<PathBuf>,
-    /// Size of the picture
-    #[arg(long, value_name = "WxH", default_value = "1200x900", value_parser = parse::pixels)]
-    pub picture_size: [u32; 2],
+pub(crate) struct Camera {
     /// Where to look from: azimuth,elevation in degrees; 0,0 looks along +y with z up
     #[arg(long, value_name = "A,E", default_value = "30,25", value_parser = parse::view,
           allow_hyphen_values = true)]
@@ -486,6 +480,19 @@ pub(crate) struct Shot {
     /// Parallel projection instead of perspective
     #[arg(long)]
     pub parallel: bool,
+}
+
+#[derive(Args, Debug, Clone)]
+#[command(next_help_heading = "Picture")]
+pub(crate) struct Shot {
+    /// Write a shaded picture of the surface too
+    #[arg(long, value_name = "FILE.png")]
+    pub picture: Option<PathBuf>,
+    /// Size of the picture
+    #[arg(long, value_name = "WxH", default_value = "1200x900", value_parser = parse::pixels)]
+    pub picture_size: [u32; 2],
+    #[command(flatten)]
+    pub camera: Camera,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -688,16 +695,8 @@ pub(crate) struct Render {
     /// Size of the picture
     #[arg(long, value_name = "WxH", default_value = "1200x900", value_parser = parse::pixels)]
     pub size: [u32; 2],
-    /// Where to look from: azimuth,elevation in degrees; 0,0 looks along +y with z up
-    #[arg(long, value_name = "A,E", default_value = "30,25", value_parser = parse::view,
-          allow_hyphen_values = true)]
-    pub view: [f64; 2],
-    /// Colour of the surface
-    #[arg(long, value_name = "RRGGBB", default_value = "e8d9be", value_parser = parse::colour)]
-    pub colour: [u8; 3],
-    /// Parallel projection instead of perspective
-    #[arg(long)]
-    pub parallel: bool,
+    #[command(flatten)]
+    pub camera: Camera,
     /// Scenes: cells along the longest edge [default: what the scene says, or 256]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     pub resolution: Option<u32>,

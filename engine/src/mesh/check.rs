@@ -7,6 +7,7 @@
 
 use super::Mesh;
 use super::around::{Around, Counts, scratch_bytes};
+use super::crew::on_threads;
 use super::joined::unite;
 use super::measure::{self, Sums};
 use crate::budget::{Budget, human_bytes};
@@ -278,17 +279,7 @@ fn count_around_all(mesh: &Mesh, degrees: &[u32], budget: &Budget) -> Result<Cou
         }
         Ok(())
     };
-    std::thread::scope(|scope| {
-        let others: Vec<_> = (1..workers).map(|_| scope.spawn(work)).collect();
-        let mut result = work();
-        for other in others {
-            match other.join() {
-                Ok(theirs) => result = result.and(theirs),
-                Err(panic) => std::panic::resume_unwind(panic),
-            }
-        }
-        result
-    })?;
+    on_threads(workers as usize, work)?;
     Ok(total.into_inner().expect("no worker panicked"))
 }
 

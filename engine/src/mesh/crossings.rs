@@ -2,6 +2,7 @@
 
 use super::Mesh;
 use super::boxes::{Bounds, Boxes, NOTHING, TREE_BYTES, bounds_of, touch};
+use super::crew::on_threads;
 use super::measure::{self, is_finite};
 use super::meet::{Meeting, meet};
 use crate::budget::Budget;
@@ -161,17 +162,7 @@ pub(super) fn crossings_among(
         total.overlapping_pairs += found.overlapping_pairs;
         Ok(())
     };
-    std::thread::scope(|scope| {
-        let others: Vec<_> = (1..budget.threads()).map(|_| scope.spawn(work)).collect();
-        let mut result = work();
-        for other in others {
-            match other.join() {
-                Ok(theirs) => result = result.and(theirs),
-                Err(panic) => std::panic::resume_unwind(panic),
-            }
-        }
-        result
-    })?;
+    on_threads(budget.threads(), work)?;
     Ok(total.into_inner().expect("no worker panicked"))
 }
 

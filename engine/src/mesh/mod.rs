@@ -5,6 +5,7 @@ mod boxes;
 mod buckets;
 mod check;
 mod components;
+mod crew;
 mod crossings;
 mod feed;
 mod indexed;

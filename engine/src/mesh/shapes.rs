@@ -1,6 +1,7 @@
 //! How good the triangles of a mesh are: smallest angles and radius ratios.
 
 use super::Mesh;
+use super::crew::on_threads;
 use super::measure::is_finite;
 use crate::budget::Budget;
 use crate::error::Result;
@@ -66,17 +67,7 @@ pub fn shapes(mesh: &Mesh, budget: &Budget) -> Result<Shapes> {
         total.lock().expect("no worker panicked").join(&count);
         Ok(())
     };
-    std::thread::scope(|scope| {
-        let others: Vec<_> = (1..budget.threads()).map(|_| scope.spawn(work)).collect();
-        let mut result = work();
-        for other in others {
-            match other.join() {
-                Ok(theirs) => result = result.and(theirs),
-                Err(panic) => std::panic::resume_unwind(panic),
-            }
-        }
-        result
-    })?;
+    on_threads(budget.threads(), work)?;
     Ok(total.into_inner().expect("no worker panicked").shapes())
 }
 

@@ -99,12 +99,7 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
     .map_err(&blame)?;
     let picture_bytes = made.picture(&source).map_err(&blame)?;
     report(args, &job, &stats, &written, extracted, picture_bytes)?;
-    Ok(
-        match pick::report_substituted(&volume, &args.volume, &job) {
-            true => Outcome::NotWhatWasAsked,
-            false => Outcome::Done,
-        },
-    )
+    Ok(pick::outcome(&volume, &args.volume, &job))
 }
 
 /// Whether every segment gets a file of its own.
@@ -272,7 +267,11 @@ impl Made<'_> {
         for &(label, totals) in &self.stats.labels {
             self.send(label, totals, &mut bounds)?;
         }
-        let mut raster = Raster::new(&look(&self.args.shot), &bounds.world(), &self.job.budget)?;
+        let mut raster = Raster::new(
+            &look(&self.args.shot.camera, self.args.shot.picture_size),
+            &bounds.world(),
+            &self.job.budget,
+        )?;
         for &(label, totals) in &self.stats.labels {
             self.job.budget.check_cancelled()?;
             self.send(label, totals, &mut raster)?;
@@ -285,7 +284,7 @@ impl Made<'_> {
             let at = |p: &[f32; 3]| nearest(source, &drawn, back.apply(p.map(f64::from)), reach);
             points
                 .iter()
-                .map(|p| at(p).map_or(shot.colour, colourmap::label))
+                .map(|p| at(p).map_or(shot.camera.colour, colourmap::label))
                 .collect()
         };
         let picture = raster.painted(Some(&colours), &self.job.budget)?;

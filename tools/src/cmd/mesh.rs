@@ -106,12 +106,7 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
         + &add_shapes(&mut json, shapes.as_ref())
         + &simplify::report(&mut json, thinned.as_ref());
     job.result(&text, &json)?;
-    Ok(
-        match pick::report_substituted(&volume, &args.volume, &job) {
-            true => Outcome::NotWhatWasAsked,
-            false => Outcome::Done,
-        },
-    )
+    Ok(pick::outcome(&volume, &args.volume, &job))
 }
 
 /// Writes one part of the mesh.
@@ -441,7 +436,7 @@ pub(super) fn open_raster(
         .intersect(&domain);
     let inside = options.inside.unwrap_or(field.kind().inside());
     let bounds = crossing_bounds(field, region, options.iso, inside)?;
-    Raster::new(&look(shot), &bounds, budget)
+    Raster::new(&look(&shot.camera, shot.picture_size), &bounds, budget)
 }
 
 /// Blocks that extraction will look at; 0 where seeds decide.

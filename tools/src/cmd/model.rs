@@ -269,7 +269,7 @@ fn mesh(
         })?
     };
     if let (Some(raster), Some(path)) = (raster, &args.shot.picture) {
-        let shot_colour = args.shot.colour;
+        let shot_colour = args.shot.camera.colour;
         // A point whose colour cannot be read keeps that of the option.
         let colours = |points: &[[f32; 3]]| {
             let found = model.colors(points);

@@ -1,5 +1,6 @@
 //! From the command line to an open volume, and what is said of damage that was passed over.
 
+use crate::Outcome;
 use crate::args::{DamageMode, Pick};
 use crate::job::Job;
 use brickmarch::store::{OnDamage, Volume};
@@ -32,6 +33,14 @@ pub(super) fn named(path: &Path, name: Option<&str>, budget: &Budget) -> Result<
     match name {
         Some(name) => Volume::open_named(path, name, budget),
         None => Volume::open(path, budget),
+    }
+}
+
+/// What came of a command that has read `volume` and done the rest: says what was lost.
+pub(super) fn outcome(volume: &Volume, path: &Path, job: &Job) -> Outcome {
+    match report_substituted(volume, path, job) {
+        true => Outcome::NotWhatWasAsked,
+        false => Outcome::Done,
     }
 }
 

@@ -103,10 +103,5 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         "peak_rss_bytes": crate::system::peak_resident_bytes(),
     });
     job.result(&text, &json)?;
-    Ok(
-        match pick::report_substituted(&volume, &args.volume, &job) {
-            true => Outcome::NotWhatWasAsked,
-            false => Outcome::Done,
-        },
-    )
+    Ok(pick::outcome(&volume, &args.volume, &job))
 }

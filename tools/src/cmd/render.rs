@@ -7,7 +7,7 @@ use crate::colourmap;
 use crate::job::Job;
 use crate::output::{self, Replace};
 use crate::picture::{self, Picture};
-use crate::render::{Fog, Look, Raster, Surface, View, crossing_bounds, fog, from_srgb, highest};
+use crate::render::{Fog, Look, Raster, Surface, crossing_bounds, fog, from_srgb, highest, look};
 use brickmarch::model::Model;
 use brickmarch::query::Rays;
 use brickmarch::{Box3, Error, Field, Inside, Result};
@@ -75,18 +75,9 @@ pub(crate) fn run(args: &Render) -> anyhow::Result<Outcome> {
 fn draw(args: &Render, field: &dyn Field, iso: Option<f32>, job: &Job) -> Result<Picture> {
     let part = region::resolve(&args.region, field.grid())?;
     let part = part.unwrap_or(field.grid().domain);
-    let [width, height] = args.size;
     let look = Look {
-        width,
-        height,
-        view: View {
-            azimuth_deg: args.view[0],
-            elevation_deg: args.view[1],
-        },
-        parallel: args.parallel,
-        colour: args.colour,
         occlusion: !args.no_occlusion,
-        ..Look::default()
+        ..look(&args.camera, args.size)
     };
     let _watch = job.watch("casting rays");
     if args.fog || args.max {

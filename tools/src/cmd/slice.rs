@@ -59,12 +59,7 @@ pub(crate) fn run(args: &Slice) -> anyhow::Result<Outcome> {
         "peak_rss_bytes": crate::system::peak_resident_bytes(),
     });
     job.result(&text, &json)?;
-    Ok(
-        match pick::report_substituted(&volume, &args.volume, &job) {
-            true => Outcome::NotWhatWasAsked,
-            false => Outcome::Done,
-        },
-    )
+    Ok(pick::outcome(&volume, &args.volume, &job))
 }
 
 /// The slice across index axis `axis` whose middle is nearest to `position` on the world axis that

@@ -20,20 +20,19 @@ pub(crate) use cast::{Fog, Surface, fog, highest};
 pub(crate) use raster::Raster;
 pub(crate) use shade::{Look, from_srgb};
 
-use crate::args::Shot;
+use crate::args::Camera;
 
-/// What a picture looks like that the command line asks for.
-pub(crate) fn look(shot: &Shot) -> Look {
-    let [width, height] = shot.picture_size;
+/// What a picture of this size looks like that the command line asks for.
+pub(crate) fn look(camera: &Camera, [width, height]: [u32; 2]) -> Look {
     Look {
         width,
         height,
         view: View {
-            azimuth_deg: shot.view[0],
-            elevation_deg: shot.view[1],
+            azimuth_deg: camera.view[0],
+            elevation_deg: camera.view[1],
         },
-        parallel: shot.parallel,
-        colour: shot.colour,
+        parallel: camera.parallel,
+        colour: camera.colour,
         ..Look::default()
     }
 }
