@@ -1,4 +1,5 @@
-//! Extraction from a dense array in memory, triangles counted and thrown away.
+//! Extraction from a dense array in memory without ranges, so that every block is looked at; triangles
+//! counted and thrown away, vertices compared with the crossed edges.
 
 use brickmarch::field::Dense;
 use brickmarch::iso::{Boundary, Extract, extract};
@@ -60,7 +61,27 @@ pub(crate) fn gyroid(n: i32, edge: u32) -> Unranged {
     })
 }
 
+/// Edges of the lattice whose ends lie on different sides: a vertex of the mesh each.
+fn crossed(field: &Unranged) -> u64 {
+    let domain = field.grid().domain;
+    let mut values = vec![0.0; domain.count() as usize];
+    field
+        .read(domain, &mut Samples::dense(&mut values, domain))
+        .expect("in memory");
+    let n = domain.size().map(|n| n as usize);
+    let mut count = 0;
+    for (at, &value) in values.iter().enumerate() {
+        let p = [at % n[0], at / n[0] % n[1], at / n[0] / n[1]];
+        let step = [1, n[0], n[0] * n[1]];
+        for axis in (0..3).filter(|&a| p[a] + 1 < n[a]) {
+            count += u64::from((value >= 0.0) != (values[at + step[axis]] >= 0.0));
+        }
+    }
+    count
+}
+
 fn report(name: &str, field: &Unranged) {
+    let crossed = crossed(field);
     let options = Extract {
         iso: 0.0,
         boundary: Boundary::Cut,
@@ -75,6 +96,7 @@ fn report(name: &str, field: &Unranged) {
             let start = Instant::now();
             let stats = extract(field, &options, &budget, &mut sink).expect("meshes");
             best = best.min(start.elapsed().as_secs_f64());
+            assert_eq!(stats.vertices - stats.interior_vertices, crossed, "{name}");
             triangles = stats.triangles;
         }
         println!(
