@@ -190,8 +190,8 @@ pub(crate) struct Import {
     /// Value of the space that holds nothing
     #[arg(long, value_name = "V", allow_hyphen_values = true, value_parser = parse::finite)]
     pub background: Option<f64>,
-    /// How to compress: fast decodes at gigabytes per second; small makes scans of 8 and 16 bits a fifth to a third smaller
-    /// and decodes slower
+    /// How to compress: fast decodes at gigabytes per second; small makes scans of 8 and 16 bits up to a tenth
+    /// smaller and decodes slower
     #[arg(long, value_enum, default_value_t = CompressionMode::Fast)]
     pub compression: CompressionMode,
     /// Build up to this many coarser levels of detail
