@@ -134,6 +134,73 @@ fn colours_follow_the_parts() {
     assert!(seen[0] > 20 && seen[1] > 20, "{seen:?}");
 }
 
+/// Every sample of a named volume of `v.bvol`, and its size.
+fn samples(scratch: &Scratch, volume: &str) -> Vec<f32> {
+    let line = format!("export @v.bvol @v.raw --name {volume} --overwrite -q");
+    run(scratch, &line);
+    let content = bytes(&scratch.path("v.raw"));
+    if volume.starts_with("color") {
+        return content.into_iter().map(f32::from).collect();
+    }
+    let (values, rest) = content.as_chunks::<4>();
+    assert!(rest.is_empty());
+    values.iter().map(|&v| f32::from_le_bytes(v)).collect()
+}
+
+/// Colours and attributes of a volume file are those of the nearer ball, at every sample with
+/// `--full`, and beside the surface without.
+#[test]
+fn a_volume_has_colours_and_attributes_beside_it() {
+    let scratch = Scratch::new("model-colour-volumes");
+    let two = "[model]\nunion = [\n\
+        { shape = \"sphere\", radius = 0.4, move = [-0.5, 0, 0], color = \"#ff8000\", attributes = { heat = 2.5 } },\n\
+        { shape = \"sphere\", radius = 0.3, move = [0.5, 0, 0], color = \"#0000ff\" }]\n";
+    scratch.write("two.toml", format!("{BOUNDS}{two}"));
+    let n = 81usize;
+    let channels = [
+        ("color.r", [255.0, 0.0], 204.0),
+        ("color.g", [128.0, 0.0], 204.0),
+        ("color.b", [0.0, 255.0], 204.0),
+        ("heat", [2.5, 0.0], 0.0),
+    ];
+    for how in ["--full", ""] {
+        run(
+            &scratch,
+            &format!("model @two.toml @v.bvol --resolution 80 --colors -q --overwrite {how}"),
+        );
+        json(&scratch, "verify @v.bvol");
+        for (name, colours, default) in channels {
+            let got = samples(&scratch, name);
+            assert_eq!(got.len(), n * n * n);
+            let (mut near, mut plain) = (0, 0);
+            for (i, &value) in got.iter().enumerate() {
+                let p = [i % n, i / n % n, i / n / n].map(|v| v as f64 / 40.0 - 1.0);
+                let to = |x: f64| ((p[0] - x).powi(2) + p[1] * p[1] + p[2] * p[2]).sqrt();
+                let both = [to(-0.5) - 0.4, to(0.5) - 0.3];
+                if (both[0] - both[1]).abs() < 1e-9 {
+                    continue;
+                }
+                let want = colours[usize::from(both[1] < both[0])];
+                let is_near = both[0].min(both[1]).abs() < 0.05;
+                near += usize::from(is_near);
+                plain += usize::from(value == default && value != want);
+                assert!(
+                    value == want || (!is_near && how.is_empty() && value == default),
+                    "{how} {name}: {value} at {p:?}, not {want}"
+                );
+            }
+            assert!(near > 5000, "{near}");
+            assert_eq!(plain == 0, how == "--full", "{how} {name}: {plain} samples");
+        }
+    }
+    let of = |how: &str| {
+        let line = format!("model @two.toml @v.bvol --resolution 80 --colors -q --overwrite {how}");
+        run(&scratch, &line);
+        bytes(&scratch.path("v.bvol"))
+    };
+    assert!(of("--threads 1 --mem 64MiB") == of("--threads 2 --mem 256MiB"));
+}
+
 #[test]
 fn a_redistanced_scan_can_be_offset() {
     let scratch = Scratch::new("model-redistance");
@@ -203,6 +270,10 @@ fn scenes(scratch: &Scratch) {
         " }]".repeat(150)
     );
     scene("nested", &nested);
+    scene(
+        "taken",
+        "[model]\nshape = \"sphere\"\nradius = 0.5\nattributes = { \"color.r\" = 1 }\n",
+    );
     scratch.write("huge.toml", vec![b'#'; (16 << 20) + 1]);
     scratch.write("binary.toml", [0xff, 0xfe, 0x00, 0x80]);
     scratch.write("nothing.toml", "");
@@ -386,9 +457,9 @@ fn wrong_scenes_and_options_are_one_error_with_place_and_remedy() {
                 &["out.bvol", "--normals", "write a .ply"],
             ),
             case(
-                "model @ball.toml @out.bvol --colors",
+                "model @taken.toml @out.bvol --colors",
                 1,
-                &["out.bvol", "--colors"],
+                &["out.bvol", "\"color.r\"", "already"],
             ),
             case(
                 "model @ball.toml @out.stl --colors",

@@ -421,7 +421,8 @@ pub(crate) struct Model {
     /// Meshes: fewer triangles: a share of them, or as few as an error in the units of the mesh allows
     #[arg(long, value_name = "N%|ERROR", value_parser = parse::simplify)]
     pub simplify: Option<parse::Simplify>,
-    /// Meshes: write the colours of the scene (.ply)
+    /// Write the colours of the scene: of each vertex (.ply), or as volumes color.r, color.g and color.b beside
+    /// the first, with one for each other attribute (.bvol)
     #[arg(long)]
     pub colors: bool,
     /// Meshes: write one without triangles when the scene is empty, instead of failing

@@ -202,7 +202,7 @@ impl Model {
     /// # Errors
     /// What sampled data reports.
     pub fn attribute(&self, name: &str, points: &[[f32; 3]]) -> Result<Vec<f32>> {
-        let Some((_, tape)) = self.attributes.iter().find(|(n, _)| n == name) else {
+        let Some(tape) = self.attribute_tape(name) else {
             return Ok(vec![default_attribute(name) as f32; points.len()]);
         };
         let mut room = Room::default();
@@ -240,7 +240,25 @@ impl Model {
         row[3] + row[axis] * f64::from(index)
     }
 
-    fn cube(&self, region: Box3) -> [Interval; 3] {
+    /// Operations of an attribute, if the model has it.
+    pub(super) fn attribute_tape(&self, name: &str) -> Option<&Tape> {
+        let mut all = self.attributes.iter();
+        all.find(|(n, _)| n == name).map(|(_, tape)| tape)
+    }
+
+    /// Whether the surface, or for a narrow band what is within it, may be in `region`.
+    pub(super) fn may_cross(&self, region: Box3) -> Result<bool> {
+        let range = self.range(region)?;
+        let iso = self.convention.iso();
+        Ok(range.has_nan
+            || if self.band.is_some() {
+                range.min < range.max
+            } else {
+                range.min <= iso && iso <= range.max
+            })
+    }
+
+    pub(super) fn cube(&self, region: Box3) -> [Interval; 3] {
         [0, 1, 2].map(|a| {
             Interval::new(
                 self.world(a, region.min[a]),
@@ -337,7 +355,7 @@ impl Model {
 
 thread_local! {
     /// Room of this thread; holds no result from one call to the next.
-    static ROOM: std::cell::RefCell<Room> = std::cell::RefCell::default();
+    pub(super) static ROOM: std::cell::RefCell<Room> = std::cell::RefCell::default();
 }
 
 impl Field for Model {

@@ -17,6 +17,7 @@
 //! assert!(model.range(model.grid().domain).unwrap().min < 0.0);
 //! ```
 
+mod attribute;
 mod blend;
 mod build;
 mod combine;
@@ -38,6 +39,7 @@ mod tape;
 mod tests;
 mod transform;
 
+pub use attribute::AttributeField;
 pub use expression::{Expression, FUNCTIONS};
 pub use field::{Evaluated, Model};
 pub use near::NearSurface;

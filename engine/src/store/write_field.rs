@@ -30,20 +30,50 @@ pub fn write_field(
     out: &Path,
     budget: &Budget,
 ) -> Result<VolumeInfo> {
-    if !field.grid().domain.contains_box(&spec.grid.domain) {
-        return Err(Error::bad_input(format!(
-            "{}: the domain {} is not inside the field's {}",
-            out.display(),
-            spec.grid.domain,
-            field.grid().domain
-        )));
+    write_fields(&[(field, spec)], out, budget)
+}
+
+/// Writes several fields as the volumes of one file, in this order, one commit for all; see
+/// [`write_field`]. What it gives is of the first.
+///
+/// # Errors
+/// As [`write_field`]; none to write, two of one name, too many.
+///
+/// # Memory
+/// As [`write_field`], which is one volume after the other: only the 32 bytes of each stored brick add up.
+pub fn write_fields(
+    fields: &[(&dyn Field, &VolumeSpec)],
+    out: &Path,
+    budget: &Budget,
+) -> Result<VolumeInfo> {
+    for (field, spec) in fields {
+        if !field.grid().domain.contains_box(&spec.grid.domain) {
+            return Err(Error::bad_input(format!(
+                "{}: the domain {} is not inside the field's {}",
+                out.display(),
+                spec.grid.domain,
+                field.grid().domain
+            )));
+        }
     }
-    let writer = VolumeWriter::create(out, spec, budget)?;
-    fill(field, &writer, budget)?;
+    let Some(((_, first), others)) = fields.split_first() else {
+        return Err(Error::bad_input(format!(
+            "{}: a file needs a volume: give at least one field",
+            out.display()
+        )));
+    };
+    let mut writer = VolumeWriter::create(out, first, budget)?;
+    for (_, spec) in others {
+        writer.add_volume(spec)?;
+    }
+    for (volume, (field, _)) in fields.iter().enumerate() {
+        fill_with(&FieldBricks(*field), &writer, volume, budget)?;
+    }
     writer.finish()
 }
 
 /// Puts every brick of `field` into the first volume of `writer`.
+#[cfg(test)]
 pub(super) fn fill(field: &dyn Field, writer: &VolumeWriter, budget: &Budget) -> Result<()> {
     fill_with(&FieldBricks(field), writer, 0, budget)
 }

@@ -11,8 +11,8 @@ use crate::simplify::{self, simplified};
 use brickmarch::budget::human_bytes;
 use brickmarch::iso::{Extract, extract};
 use brickmarch::mesh::{Layout, Piece, Totals};
-use brickmarch::model::{Convention, Model, NearSurface};
-use brickmarch::store::{VolumeInfo, VolumeSpec, write_field};
+use brickmarch::model::{AttributeField, Convention, Model, NearSurface};
+use brickmarch::store::{VolumeInfo, VolumeSpec, write_fields};
 use brickmarch::{Error, Field, MeshSink, Result, SampleType};
 use brickmarch_formats::scene::Scene;
 use serde_json::{Value, json};
@@ -94,7 +94,6 @@ fn check_usage(args: &Args, to_volume: bool) -> Result<()> {
         ("--normals", args.normals),
         ("--simplify", args.simplify.is_some()),
         ("--smooth", args.smooth.smooth.is_some()),
-        ("--colors", args.colors),
         ("--picture", args.shot.picture.is_some()),
         ("--allow-empty", args.allow_empty),
     ];
@@ -159,20 +158,20 @@ fn volume(args: &Args, model: Model, job: &Job, json: &mut Value) -> Result<Stri
     if args.full {
         spec.history = format!("model {name}, every sample");
         spec.background = far_value(&model)?.into();
-        info = write_field(&model, &spec, &args.out, &job.budget)?;
+        info = with_attributes(args, &model, &model, &spec, job)?;
         evaluated = model.evaluated();
     } else if model.convention() == Convention::Distance {
         let band = f64::from((args.band * voxel) as f32);
         spec.history = format!("model {name}, distance within {} voxels", args.band);
         spec.background = band;
         let model = model.narrow(band)?;
-        info = write_field(&model, &spec, &args.out, &job.budget)?;
+        info = with_attributes(args, &model, &model, &spec, job)?;
         evaluated = model.evaluated();
     } else {
         spec.history = format!("model {name}, bricks near the surface");
         let near = NearSurface::new(&model, iso, far_value(&model)?);
         spec.background = near.outside().into();
-        info = write_field(&near, &spec, &args.out, &job.budget)?;
+        info = with_attributes(args, &model, &near, &spec, job)?;
         evaluated = model.evaluated();
     }
     let share = evaluated.regions as f64 / bricks.max(1) as f64;
@@ -191,6 +190,46 @@ fn volume(args: &Args, model: Model, job: &Job, json: &mut Value) -> Result<Stri
         100.0 * share,
         human_bytes(info.bytes_file)
     ))
+}
+
+/// Writes `field`, and with `--colors` volumes beside it: the colour as `color.r`, `color.g` and `color.b`, each
+/// other attribute under its name.
+fn with_attributes(
+    args: &Args,
+    model: &Model,
+    field: &dyn Field,
+    spec: &VolumeSpec,
+    job: &Job,
+) -> Result<VolumeInfo> {
+    let mut beside = Vec::new();
+    if args.colors {
+        let channels = ["red", "green", "blue"];
+        let others = model.attribute_names().filter(|n| !channels.contains(n));
+        for name in channels {
+            let field = AttributeField::color(model, name)?;
+            beside.push((field, SampleType::U8, format!("color.{}", &name[..1])));
+        }
+        for name in others {
+            let field = AttributeField::new(model, name);
+            beside.push((field, SampleType::F32, name.to_string()));
+        }
+    }
+    let beside: Vec<(AttributeField<'_>, VolumeSpec)> = beside
+        .into_iter()
+        .map(|(field, sample, name)| {
+            let field = if args.full { field.everywhere() } else { field };
+            let own = VolumeSpec {
+                background: field.background().into(),
+                history: format!("{}: {name}", spec.history),
+                name,
+                ..VolumeSpec::new(spec.grid, sample)
+            };
+            (field, own)
+        })
+        .collect();
+    let mut all: Vec<(&dyn Field, &VolumeSpec)> = vec![(field, spec)];
+    all.extend(beside.iter().map(|(f, s)| (f as &dyn Field, s)));
+    write_fields(&all, &args.out, &job.budget)
 }
 
 /// A value that is clearly away from the surface: a power of two beyond those at the corners.
