@@ -1,7 +1,6 @@
 //! Suites for every kind of node: ranges hold every sample, pruned evaluation gives the same bits,
 //! gradients agree with finite differences, blends are continuous, rows agree with points.
 
-mod attributes;
 mod blends;
 mod gradients;
 mod nodes;
