@@ -5,6 +5,7 @@ mod bad_input;
 mod batch;
 mod check;
 mod components;
+mod examples;
 mod gallery;
 mod labels;
 mod model;

@@ -3,7 +3,7 @@
 use super::data::workspace;
 use std::ffi::OsStr;
 use std::io::Read;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 use std::time::Duration;
@@ -171,6 +171,31 @@ fn build(package: &str) {
             "building {package} failed:\n{stderr}"
         );
     });
+}
+
+/// What an example of the library prints, that `cargo build --examples` makes: unoptimised, since linking all of
+/// them in release takes minutes.
+pub(crate) fn example(name: &str, args: &[&Path]) -> String {
+    static DONE: OnceLock<()> = OnceLock::new();
+    DONE.get_or_init(|| {
+        let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
+        let output = Command::new(cargo)
+            .args(["build", "--quiet", "--examples", "-p", "brickmarch-tools"])
+            .current_dir(workspace())
+            .output()
+            .expect("cargo runs");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "building examples:\n{stderr}");
+    });
+    let profiles = build_dir();
+    let built = profiles.parent().expect("a folder of profiles");
+    let output = Command::new(built.join("debug/examples").join(name))
+        .args(args)
+        .output()
+        .expect("the example runs");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{name}: {stderr}");
+    String::from_utf8(output.stdout).expect("text")
 }
 
 /// Runs `brickmarch` where no file may grow beyond `kib` KiB.

@@ -107,6 +107,9 @@ const PART_BYTES: u64 = 2 * size_of::<Part>() as u64;
 const SPOOL_BYTES: u64 = 4 << 20;
 /// Bytes of a vertex between cubes, in a table that doubles.
 const SHARED_BYTES: u64 = 56;
+/// Part of the share asked for that every patch aims at: those with much border do not get there, and the
+/// mesh as a whole should.
+const AIM: f64 = 0.95;
 /// Triangles that are simplified together, where a cube does not have more.
 const TOGETHER: u64 = 120_000;
 
@@ -234,7 +237,7 @@ impl MeshSink for Simplified<'_> {
         }
         step.goal = match self.options.goal {
             Goal::Error(e) => Goal::Error(e - used),
-            ratio => ratio,
+            Goal::Ratio(r) => Goal::Ratio(AIM * r),
         };
         step.distance = 0.0;
         let inner = &*self.inner;
