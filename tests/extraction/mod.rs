@@ -4,6 +4,7 @@ mod analytic;
 mod checker;
 pub(crate) mod compare;
 mod components;
+mod isolines;
 mod labels;
 mod laws;
 mod normals;

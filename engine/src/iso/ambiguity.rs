@@ -13,12 +13,12 @@ use crate::sample::Inside;
 /// The corners less the isovalue. NaN is outside, and as far outside as can be; infinities are as
 /// far away as can be.
 #[inline]
-pub(crate) fn offsets(values: &[f32; 8], iso: f32, inside: Inside) -> [f64; 8] {
+pub(crate) fn offsets<const N: usize>(values: &[f32; N], iso: f32, inside: Inside) -> [f64; N] {
     let unknown = match inside {
         Inside::Above => f64::from(f32::MIN),
         Inside::Below => f64::from(f32::MAX),
     };
-    let mut out = [unknown; 8];
+    let mut out = [unknown; N];
     for (offset, &value) in out.iter_mut().zip(values) {
         if !value.is_nan() {
             *offset = f64::from(value.clamp(f32::MIN, f32::MAX)) - f64::from(iso);
@@ -35,13 +35,20 @@ pub(crate) fn joined_faces(offsets: &[f64; 8], faces: u8, inside: Inside) -> u8 
     while left != 0 {
         let face = left.trailing_zeros() as usize;
         left &= left - 1;
-        let [p, q, r, s] = FACE_CORNERS[face].map(|corner| offsets[corner]);
-        let saddle = determinant_sign(p, r, q, s);
-        // The pair at or above the isovalue is (p, r) or (q, s).
-        let above = if p >= 0.0 { saddle >= 0 } else { saddle <= 0 };
-        joined |= u8::from(above == (inside == Inside::Above)) << face;
+        let ring = FACE_CORNERS[face].map(|corner| offsets[corner]);
+        joined |= u8::from(is_joined(ring, inside)) << face;
     }
     joined
+}
+
+/// Whether the inside corners of an alternating face are joined across it, given its corners less the
+/// isovalue, around it.
+#[inline(always)]
+pub(super) fn is_joined([p, q, r, s]: [f64; 4], inside: Inside) -> bool {
+    let saddle = determinant_sign(p, r, q, s);
+    // The pair at or above the isovalue is (p, r) or (q, s).
+    let above = if p >= 0.0 { saddle >= 0 } else { saddle <= 0 };
+    above == (inside == Inside::Above)
 }
 
 const FACE_CORNERS: [[usize; 4]; 6] = {

@@ -11,6 +11,7 @@ mod exact;
 mod extract;
 mod inner;
 mod interior;
+mod isolines;
 mod label_mask;
 mod labels;
 mod numbering;
@@ -27,6 +28,7 @@ mod waist;
 mod walker;
 
 pub use extract::{Boundary, Extract, Stats, extract};
+pub use isolines::{Isoline, Isolines, Raster, isolines};
 pub use labels::{ExtractLabels, LabelStats, extract_labels, label_blocks};
 pub use parts::{Part, extract_part, join_parts, part_of};
 pub use relax::MAX_RELAX_PASSES;

@@ -12,6 +12,20 @@ use crate::sample::Inside;
 /// different edges never coincide and no triangle degenerates where samples equal the isovalue.
 pub(crate) const MIN_T: f32 = 1e-3;
 
+/// Crossing of the isovalue on an edge, as a fraction from its lower end `a` to its upper `b`, at least `min_t`
+/// away from both.
+#[inline(always)]
+pub(super) fn along(a: f32, b: f32, iso: f32, min_t: f32) -> f32 {
+    let (part, whole) = (iso - a, b - a);
+    let usual = part.is_finite() && whole.is_finite();
+    let t = if usual {
+        part / whole
+    } else {
+        unusual(a, b, iso)
+    };
+    t.clamp(min_t, 1.0 - min_t)
+}
+
 /// Map from edges to vertex positions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Placement {
@@ -62,14 +76,7 @@ impl Placement {
     /// Crossing of the isovalue on an edge, as a fraction from its lower end `a` to its upper `b`.
     #[inline]
     pub(super) fn along(&self, a: f32, b: f32, iso: f32) -> f32 {
-        let (part, whole) = (iso - a, b - a);
-        let usual = part.is_finite() && whole.is_finite();
-        let t = if usual {
-            part / whole
-        } else {
-            unusual(a, b, iso)
-        };
-        t.clamp(self.min_t, 1.0 - self.min_t)
+        along(a, b, iso, self.min_t)
     }
 
     /// Rows of the map from lattice to world.
