@@ -1,6 +1,7 @@
 //! The command line: one definition per flag; help, completions and manual pages come from here.
 
 use crate::parse;
+use brickmarch::query::Method;
 use brickmarch::{Box3, Kind, SampleType};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -52,7 +53,7 @@ pub(crate) enum Command {
     Ray(Ray),
     /// Picture of a volume or a scene by casting rays, without a mesh
     Render(Render),
-    /// Write an axis-aligned slice of a volume as a PNG picture
+    /// Write a slice of a volume, along an axis or in any direction, as a picture, with isolines
     Slice(Slice),
     /// Run the tasks of a job file in one memory budget; run it again to go on after a stop
     Batch(Batch),
@@ -544,7 +545,7 @@ pub(crate) struct Check {
 pub(crate) struct Slice {
     /// Volume file
     pub volume: PathBuf,
-    /// Picture to write
+    /// Picture to write: .png, or .svg, whose isolines are paths
     pub out: PathBuf,
     /// Axis that the slice is perpendicular to (by index)
     #[arg(long, value_enum, default_value_t = Axis::Z)]
@@ -560,15 +561,56 @@ pub(crate) struct Slice {
     /// Which slice, by world coordinate; the nearest one is taken
     #[arg(long, value_name = "W", allow_hyphen_values = true, value_parser = parse::finite)]
     pub position: Option<f64>,
+    /// A plane in any direction: the direction in which to look; docs/guide.md says what is up
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse::point,
+          conflicts_with_all = ["axis", "index", "position", "through"])]
+    pub normal: Option<[f64; 3]>,
+    /// A point of the plane of --normal [default: the middle of the region]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse::point,
+          requires = "normal")]
+    pub origin: Option<[f64; 3]>,
+    /// What is up in the picture of --normal [default: z, or -y where one looks along z]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse::point,
+          requires = "normal")]
+    pub up: Option<[f64; 3]>,
+    /// The plane through three points, given one after another: the second to the right, the third above
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse::point,
+          conflicts_with_all = ["axis", "index", "position"])]
+    pub through: Vec<[f64; 3]>,
+    /// Coordinates of --normal, --origin, --up and --through
+    #[arg(long, value_enum, default_value_t = Space::World)]
+    pub space: Space,
+    /// How a plane of any direction is read between samples [default: nearest for labels, else trilinear]
+    #[arg(long, value_enum, conflicts_with_all = ["axis", "index", "position"])]
+    pub method: Option<MethodName>,
     /// Values shown as black and white [default: the 0.5th and 99.5th percentile]
     #[arg(long, value_name = "LO:HI", allow_hyphen_values = true, value_parser = parse::window)]
     pub window: Option<(f64, f64)>,
+    /// The same as their difference and their middle
+    #[arg(long, value_name = "WIDTH,LEVEL", allow_hyphen_values = true, value_parser = parse::window_level,
+          conflicts_with = "window")]
+    pub window_level: Option<[f64; 2]>,
     /// Colour map [default: labels for a label volume, grey otherwise]
     #[arg(long, value_enum)]
     pub map: Option<MapName>,
     /// Pixels per sample along the finer axis
     #[arg(long, value_name = "S", default_value = "1", value_parser = scale)]
     pub scale: f64,
+    /// Draw the lines along which the values are V; may be repeated
+    #[arg(long, value_name = "V", allow_hyphen_values = true, value_parser = parse::isovalue)]
+    pub iso: Vec<f32>,
+    /// Width of the lines in pixels
+    #[arg(long, value_name = "PIXELS", default_value = "1.5", value_parser = line_width)]
+    pub line_width: f64,
+    /// Colour of all lines [default: another for each value]
+    #[arg(long, value_name = "RRGGBB", value_parser = parse::colour)]
+    pub line_colour: Option<[u8; 3]>,
+    /// Draw a bar of a round length
+    #[arg(long)]
+    pub scale_bar: bool,
+    /// SVG: lines and scale bar only
+    #[arg(long)]
+    pub no_image: bool,
     #[command(flatten)]
     pub pick: Pick,
     #[command(flatten)]
@@ -621,6 +663,16 @@ pub(crate) enum MethodName {
     Trilinear,
     /// Cubic along each axis, smooth, through the samples
     Tricubic,
+}
+
+impl From<MethodName> for Method {
+    fn from(name: MethodName) -> Method {
+        match name {
+            MethodName::Nearest => Method::Nearest,
+            MethodName::Trilinear => Method::Trilinear,
+            MethodName::Tricubic => Method::Tricubic,
+        }
+    }
 }
 
 #[derive(Args, Debug)]
@@ -790,6 +842,15 @@ fn kind(text: &str) -> Result<Kind, String> {
 
 fn sample_type(text: &str) -> Result<SampleType, String> {
     text.parse().map_err(|e: brickmarch::Error| e.to_string())
+}
+
+fn line_width(text: &str) -> Result<f64, String> {
+    let value = parse::finite(text)?;
+    if (0.1..=64.0).contains(&value) {
+        Ok(value)
+    } else {
+        Err(format!("'{text}': the width must be from 0.1 to 64"))
+    }
 }
 
 fn scale(text: &str) -> Result<f64, String> {

@@ -10,6 +10,7 @@ mod parse;
 mod picture;
 mod progress;
 mod render;
+mod section;
 #[cfg(feature = "serve")]
 mod serve;
 mod shapes;

@@ -210,6 +210,32 @@ pub(crate) fn window(text: &str) -> Result<(f64, f64), String> {
     }
 }
 
+/// `width,level` with a width above 0.
+///
+/// # Errors
+/// Says how it is written.
+pub(crate) fn window_level(text: &str) -> Result<[f64; 2], String> {
+    let bad = || {
+        format!("'{text}': write the width of the window, above 0, and its middle, as in 400,40")
+    };
+    let (width, level) = text.split_once(',').ok_or_else(bad)?;
+    let both = [finite(width)?, finite(level)?];
+    if both[0] > 0.0 { Ok(both) } else { Err(bad()) }
+}
+
+/// `1.5,2,-3`, all finite.
+///
+/// # Errors
+/// Says how it is written.
+pub(crate) fn point(text: &str) -> Result<[f64; 3], String> {
+    let point: [f64; 3] = triple(text)?;
+    if point.iter().all(|v| v.is_finite()) {
+        Ok(point)
+    } else {
+        Err(format!("'{text}': every number must be finite"))
+    }
+}
+
 /// `x0:x1,y0:y1,z0:z1` in world units.
 ///
 /// # Errors

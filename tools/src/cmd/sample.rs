@@ -2,11 +2,11 @@
 
 use super::{ask, named, pick, seconds, thousands};
 use crate::Outcome;
-use crate::args::{MethodName, Sample};
+use crate::args::Sample;
 use crate::job::Job;
 use crate::output::{self, Replace};
 use brickmarch::Field;
-use brickmarch::query::{Method, Sampling, sample_gradients, sample_points};
+use brickmarch::query::{Sampling, sample_gradients, sample_points};
 use serde_json::json;
 
 pub(crate) fn run(args: &Sample) -> anyhow::Result<Outcome> {
@@ -17,11 +17,7 @@ pub(crate) fn run(args: &Sample) -> anyhow::Result<Outcome> {
     let job = Job::new(&args.run);
     let volume = pick::open(&args.volume, &args.pick, &job.budget)?;
     let options = Sampling {
-        method: match args.method {
-            MethodName::Nearest => Method::Nearest,
-            MethodName::Trilinear => Method::Trilinear,
-            MethodName::Tricubic => Method::Tricubic,
-        },
+        method: args.method.into(),
         space: ask::space(args.space),
         outside: args.outside,
     };

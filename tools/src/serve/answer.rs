@@ -12,6 +12,7 @@ use crate::cmd::{info, slice};
 use crate::parse;
 use crate::picture::Picture;
 use crate::render::Look;
+use crate::section::axis as section;
 use brickmarch::{Box3, Budget, Field, Kind, Permit, SampleType};
 use brickmarch_formats::VolumeFormat;
 use hyper::body::{Body, Incoming};
@@ -339,8 +340,8 @@ fn slice_png(site: &Site, shown: &Shown, query: &Query) -> Answer {
             }),
         scale: query.get("scale", scale)?.unwrap_or(1.0),
     };
-    let plane = slice::plane(grid.domain, &options)?;
-    let pixels = slice::pixels(grid, plane, &options)?;
+    let plane = section::plane(grid.domain, options.axis, options.index)?;
+    let pixels = section::pixels(grid, plane, options.axis, options.scale)?;
     let paper = u64::from(pixels[0]) * u64::from(pixels[1]) * 3;
     let png_max = paper + paper / 64 + (64 << 10);
     let need = plane.count() * 8 + paper;
