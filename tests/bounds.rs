@@ -159,7 +159,8 @@ fn every_command_stays_within_its_budget_or_says_what_it_needs() {
     let scratch = Scratch::new("bounds-all");
     let path = |name: &str| scratch.path(name).to_string_lossy().into_owned();
     let (raw, volume, levels) = (path("field.raw"), path("field.bvol"), path("levels.bvol"));
-    let (packed, ply) = (path("packed.nrrd"), path("all.ply"));
+    let (packed, ply, wood) = (path("packed.nrrd"), path("all.ply"), path("wood.bvol"));
+    data_gen(["texture", "wood", "--n", "128", "--out", &wood]).success();
     data_gen(["field", "gyroid", "--n", "256", "--out", &raw]).success();
     let dims = ["--dims", "256,256,256", "--type", "f32"];
     let import = |out| ["import", &raw, out].into_iter().chain(dims);
@@ -229,6 +230,18 @@ fn every_command_stays_within_its_budget_or_says_what_it_needs() {
         (
             "slice enlarged",
             vec!["slice", &volume, &png, "--axis", "z", "--scale", "16"],
+        ),
+        (
+            "slice in any direction",
+            vec!["slice", &volume, &png, "--normal", "1,2,3", "--iso", "0"],
+        ),
+        (
+            "mesh in colours",
+            vec!["mesh", &volume, &mesh, "--iso", "0", "--color", &wood],
+        ),
+        (
+            "mesh in the colours of a map",
+            vec!["mesh", &volume, &mesh, "--iso", "0", "--color", &volume],
         ),
         ("check", vec!["check", &ply]),
         ("demo", vec!["demo", &folder, "--size", "128"]),

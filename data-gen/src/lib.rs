@@ -5,9 +5,11 @@
 //! - [`exact`]: area, volume and topology of a scene from formulas and quadrature;
 //! - [`lattice`]: counts and topology of the sampled scene, streamed slice by slice;
 //! - [`hostile`]: ways to damage a file;
+//! - [`texture`]: wood and marble as colours of space;
 //! - [`rng`]: the fixed random numbers of all of them.
 //!
-//! Only [`adapter`] knows the engine: it presents a scene as a [`brickmarch::Field`].
+//! Only [`adapter`] and [`TextureField`] know the engine: they present scenes and textures as a
+//! [`brickmarch::Field`].
 //!
 //! ```
 //! use brickmarch_data_gen::{Scene, SceneName, Side, lattice_euler};
@@ -31,6 +33,8 @@ pub mod phantom;
 mod quadrature;
 pub mod rng;
 mod runs;
+pub mod texture;
+mod texture_field;
 mod trig;
 
 pub use adapter::SceneField;
@@ -38,3 +42,5 @@ pub use exact::Exact;
 pub use fields::{Meaning, Sample, Scene, SceneError, SceneName, Side};
 pub use lattice::{Counts, Topology, lattice_euler};
 pub use rng::Rng;
+pub use texture::Texture;
+pub use texture_field::TextureField;

@@ -8,8 +8,9 @@ mod answers;
 mod write;
 
 use anyhow::{Context, Result, bail};
-use brickmarch::Budget;
-use brickmarch_data_gen::{Sample, Scene, SceneName};
+use brickmarch::store::{Volume, VolumeSpec};
+use brickmarch::{Box3, Budget, Field, Grid};
+use brickmarch_data_gen::{Sample, Scene, SceneName, Texture, TextureField};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -42,6 +43,15 @@ enum Command {
         #[command(flatten)]
         output: OutputArgs,
     },
+    /// Writes a solid texture: the volumes color.r, color.g and color.b of OUT.bvol.
+    Texture {
+        /// wood or marble
+        texture: Texture,
+        #[command(flatten)]
+        space: TextureSpace,
+        #[command(flatten)]
+        output: TextureOutput,
+    },
     /// Prints area, volume and topology of a scene, from formulas and counted on its lattice.
     Exact {
         /// As for `field`.
@@ -64,6 +74,39 @@ enum Command {
 enum BandScene {
     Gyroid,
     Sphere,
+}
+
+/// Where a texture is.
+#[derive(Args)]
+struct TextureSpace {
+    /// Points per side of a cube; world is index space.
+    #[arg(long, required_unless_present = "like", conflicts_with = "like")]
+    n: Option<u32>,
+    /// The points of this volume file, and their place in the world.
+    #[arg(long)]
+    like: Option<PathBuf>,
+    /// Distance of rings or veins in world units [default: a sixteenth of the longest side].
+    #[arg(long)]
+    period: Option<f64>,
+    /// World position of the middle of the rings, as X,Y,Z [default: beside the middle].
+    #[arg(long, value_parser = parse_point, allow_hyphen_values = true)]
+    centre: Option<[f64; 3]>,
+}
+
+#[derive(Args)]
+struct TextureOutput {
+    /// The .bvol file to write.
+    #[arg(long, short)]
+    out: PathBuf,
+    /// Memory for data, such as 64MiB.
+    #[arg(long, default_value = "256MiB", value_parser = parse_bytes)]
+    mem: u64,
+    /// Threads; as many as there are cores by default.
+    #[arg(long)]
+    threads: Option<usize>,
+    /// Replace an existing file.
+    #[arg(long)]
+    overwrite: bool,
 }
 
 #[derive(Args)]
@@ -141,6 +184,11 @@ fn run(command: Command) -> Result<()> {
             };
             write_scene(name, &size, &output)
         }
+        Command::Texture {
+            texture,
+            space,
+            output,
+        } => write_texture(texture, &space, &output),
         Command::Exact {
             scene,
             size,
@@ -175,6 +223,62 @@ fn write_scene(name: SceneName, size: &SizeArgs, output: &OutputArgs) -> Result<
     println!(
         "{}: {name} {x} x {y} x {z} {kind}, {bytes} bytes",
         output.out.display()
+    );
+    Ok(())
+}
+
+fn write_texture(texture: Texture, space: &TextureSpace, output: &TextureOutput) -> Result<()> {
+    let mut budget = Budget::bytes(output.mem);
+    if let Some(threads) = output.threads {
+        budget = budget.with_threads(threads);
+    }
+    let grid = match (&space.like, space.n) {
+        (Some(path), _) => *Volume::open(path, &budget)?.grid(),
+        (None, Some(n)) => {
+            let n = i32::try_from(n).ok().filter(|&n| n > 0);
+            let n = n.context("--n is from 1 to 2147483647")?;
+            Grid::new(Box3::from_size([n; 3]))
+        }
+        (None, None) => bail!("give --n or --like"),
+    };
+    let [low, high] = TextureField::bounds(&grid);
+    let sides: [f64; 3] = std::array::from_fn(|a| high[a] - low[a]);
+    let longest = sides.into_iter().fold(0.0, f64::max);
+    let spacing = grid
+        .index_to_world
+        .spacing()
+        .into_iter()
+        .fold(0.0, f64::max);
+    let period = space.period.unwrap_or(longest.max(spacing) / 16.0);
+    if !(period.is_finite() && period > 0.0) {
+        bail!("--period {period}: give a distance above 0, in world units");
+    }
+    // Beside the middle, where rings are bent less than at their centre.
+    let beside = || std::array::from_fn(|a| low[a] + sides[a] * [0.3, 0.2, 0.5][a]);
+    let centre = space.centre.unwrap_or_else(beside);
+    let out = &output.out;
+    if out.extension().is_none_or(|e| e != "bvol") {
+        bail!(
+            "{}: textures are written as volumes: use .bvol",
+            out.display()
+        );
+    }
+    if out.exists() && !output.overwrite {
+        bail!("{} exists: give --overwrite to replace it", out.display());
+    }
+    let channels = TextureField::channels(texture, grid, centre, period);
+    let specs = channels.each_ref().map(TextureField::volume_spec);
+    let all: Vec<(&dyn Field, &VolumeSpec)> = (channels.iter().zip(&specs))
+        .map(|(field, spec)| (field as &dyn Field, spec))
+        .collect();
+    brickmarch::store::write_fields(&all, out, &budget)?;
+    let bytes = std::fs::metadata(out)
+        .with_context(|| out.display().to_string())?
+        .len();
+    let [x, y, z] = grid.domain.size();
+    println!(
+        "{}: {texture} {x} x {y} x {z}, {bytes} bytes",
+        out.display()
     );
     Ok(())
 }
@@ -225,6 +329,17 @@ fn parse_size(text: &str) -> Result<[u32; 3], String> {
     sides
         .try_into()
         .map_err(|_| "write three sides as X,Y,Z".to_owned())
+}
+
+fn parse_point(text: &str) -> Result<[f64; 3], String> {
+    let bad = || format!("'{text}': write three finite numbers as X,Y,Z");
+    let all: Vec<f64> = text
+        .split(',')
+        .map(|part| part.trim().parse().map_err(|_| bad()))
+        .collect::<Result<_, _>>()?;
+    let point: [f64; 3] = all.try_into().map_err(|_| bad())?;
+    let finite = point.iter().all(|v| v.is_finite());
+    finite.then_some(point).ok_or_else(bad)
 }
 
 fn parse_bytes(text: &str) -> Result<u64, String> {

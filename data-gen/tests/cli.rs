@@ -2,6 +2,7 @@
 
 use brickmarch::store::Volume;
 use brickmarch::{Budget, Field, Samples};
+use brickmarch_data_gen::texture::Painter;
 use brickmarch_data_gen::{Scene, SceneName};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -202,4 +203,66 @@ fn answers_are_printed_as_json() {
         text.contains("no formula") && text.contains("ambiguous"),
         "{text}"
     );
+}
+
+#[test]
+fn textures_are_three_volumes_on_the_grid_that_was_asked_for() {
+    let scratch = Scratch::new("texture");
+    scratch.ok("field ct --n 40 --out ct.bvol");
+    let budget = Budget::mib(16);
+    let open = |name: &str, volume: &str| {
+        Volume::open_named(&scratch.0.join(name), volume, &budget).expect("a volume")
+    };
+    let like = Volume::open(&scratch.0.join("ct.bvol"), &budget).expect("a volume");
+    for texture in ["wood", "marble"] {
+        let line = format!("texture {texture} --like ct.bvol --out t.bvol --period 30 --overwrite");
+        scratch.ok(&format!("{line} --threads 1"));
+        let first = fs::read(scratch.0.join("t.bvol")).expect("the file");
+        scratch.ok(&format!("{line} --threads 5 --mem 8MiB"));
+        assert!(first == fs::read(scratch.0.join("t.bvol")).expect("the file"));
+        let mut painter = Painter::new(texture.parse().expect("a texture"));
+        let centre = {
+            let [low, high] = brickmarch_data_gen::TextureField::bounds(like.grid());
+            let parts = [0.3, 0.2, 0.5];
+            std::array::from_fn::<f64, 3, _>(|a| low[a] + (high[a] - low[a]) * parts[a])
+        };
+        for (channel, name) in ["color.r", "color.g", "color.b"].into_iter().enumerate() {
+            let volume = open("t.bvol", name);
+            assert_eq!(volume.grid(), like.grid());
+            let region = volume.grid().domain;
+            let mut values = vec![0.0; region.count() as usize];
+            volume
+                .read(region, &mut Samples::dense(&mut values, region))
+                .expect("read");
+            let mut seen = std::collections::BTreeSet::new();
+            for (n, &value) in values.iter().enumerate() {
+                let n = n as i32;
+                let index = [n % 40, n / 40 % 40, n / 1600].map(f64::from);
+                let world = like.grid().index_to_world.apply(index);
+                let p = std::array::from_fn(|a| (world[a] - centre[a]) / 30.0);
+                assert_eq!(
+                    f64::from(value),
+                    painter.colour(p)[channel].round(),
+                    "{texture} {name} {n}"
+                );
+                seen.insert(value as u8);
+            }
+            assert!(seen.len() > 60, "{texture} {name}: {} values", seen.len());
+        }
+    }
+    let error = scratch.refused("texture oak --n 9 --out x.bvol");
+    assert!(error.contains("oak") && error.contains("marble"), "{error}");
+    for (arguments, word) in [
+        ("texture wood --n 9 --out x.raw", "x.raw"),
+        ("texture wood --n 9 --out t.bvol", "--overwrite"),
+        ("texture wood --n 0 --out x.bvol", "--n"),
+        ("texture wood --n 9 --period 0 --out x.bvol", "--period"),
+        ("texture wood --n 9 --centre 1,2 --out x.bvol", "X,Y,Z"),
+        ("texture wood --like gone.bvol --out x.bvol", "gone.bvol"),
+        ("texture wood --out x.bvol", "--n"),
+    ] {
+        let error = scratch.refused(arguments);
+        assert!(error.contains(word), "{arguments}: {error}");
+        assert!(!scratch.0.join("x.bvol").exists() && !scratch.0.join("x.raw").exists());
+    }
 }

@@ -88,7 +88,7 @@ pub(super) fn check_all(scratch: &Scratch, cases: &[Case]) {
 }
 
 /// Scratch space with volumes, and with sources that are wrong in one way each.
-fn prepare(name: &str) -> Scratch {
+pub(super) fn prepare(name: &str) -> Scratch {
     let scratch = scratch_with_raw(name);
     volumes(&scratch);
     sources(&scratch);

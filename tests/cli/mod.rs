@@ -4,6 +4,7 @@ mod ask;
 mod bad_input;
 mod batch;
 mod check;
+mod color;
 mod components;
 mod examples;
 mod gallery;
@@ -14,6 +15,7 @@ mod pipeline;
 mod real_data;
 mod serve;
 mod signals;
+mod slice;
 
 use crate::support::fields::sphere;
 use crate::support::scratch::{Scratch, f32_bytes};

@@ -363,6 +363,17 @@ pub(crate) struct Mesh {
     /// Fewer triangles: a share of them, or as few as an error in the units of the mesh allows
     #[arg(long, value_name = "N%|ERROR", value_parser = parse::simplify)]
     pub simplify: Option<parse::Simplify>,
+    /// Colour the vertices (.ply, and the picture) by another volume where they are: by the volumes NAME.r, NAME.g and
+    /// NAME.b [NAME: color], else by the values of volume NAME [default: the first]
+    #[arg(long, value_name = "VOLUME[:NAME]", conflicts_with_all = ["part", "labels"])]
+    pub color: Option<PathBuf>,
+    /// Colour map of values [default: labels for a label volume, viridis otherwise]
+    #[arg(long, value_enum, requires = "color")]
+    pub color_map: Option<MapName>,
+    /// Values at the ends of the colour map [default: the smallest and largest]
+    #[arg(long, value_name = "LO:HI", allow_hyphen_values = true, value_parser = parse::window,
+          requires = "color")]
+    pub color_window: Option<(f64, f64)>,
     /// Coordinates of the mesh
     #[arg(long, value_enum, default_value_t = Space::World)]
     pub space: Space,

@@ -21,8 +21,13 @@ pub(crate) struct Job {
 impl Job {
     /// A job inside its limits.
     pub(crate) fn new(run: &Run) -> Job {
+        Job::without(0, run)
+    }
+
+    /// A job inside its limits, when `bytes` of the memory are for something else.
+    pub(crate) fn without(bytes: u64, run: &Run) -> Job {
         let Run { limits, say } = run;
-        let mut budget = Budget::bytes(limits.mem);
+        let mut budget = Budget::bytes(limits.mem - bytes);
         if let Some(threads) = limits.threads {
             budget = budget.with_threads(usize::from(threads));
         }

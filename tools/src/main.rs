@@ -6,6 +6,7 @@ mod cmd;
 mod colourmap;
 mod job;
 mod output;
+mod paint;
 mod parse;
 mod picture;
 mod progress;

@@ -6,6 +6,7 @@ use crate::Outcome;
 use crate::args::{BoundaryMode, InsideMode, Mesh, Shot, Space};
 use crate::job::Job;
 use crate::output::{self, Replace};
+use crate::paint::{self, Paint, Painted};
 use crate::picture;
 use crate::render::{Raster, crossing_bounds, look};
 use crate::shapes::{self, ShapeTally};
@@ -16,7 +17,7 @@ use brickmarch::budget::human_bytes;
 use brickmarch::iso::{Boundary, Extract, Part, Stats, extract, extract_part};
 use brickmarch::mesh::{Components, Kept, Layout, Shapes, Simplification, Which};
 use brickmarch::store::Volume;
-use brickmarch::{Box3, Budget, Error, ErrorKind, Field, Inside, Kind, MeshSink, Result};
+use brickmarch::{Affine, Box3, Budget, Error, ErrorKind, Field, Inside, Kind, MeshSink, Result};
 use serde_json::{Value, json};
 use std::fs::File;
 use std::path::Path;
@@ -26,7 +27,11 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
         return labels::run(args);
     }
     let replace = Replace::from(&args.overwrite);
-    let job = Job::new(&args.run);
+    let for_colours = match &args.color {
+        Some(_) => args.run.limits.mem / paint::SHARE,
+        None => 0,
+    };
+    let job = Job::without(for_colours, &args.run);
     if !args.dry_run {
         output::check_target(&args.out, replace)?;
         if let Some(shot) = &args.shot.picture {
@@ -46,6 +51,19 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
         None => &volume,
     };
     let options = options(args, field).map_err(&blame)?;
+    let paint = match &args.color {
+        Some(color) => {
+            let to_world = match args.space {
+                Space::World => Affine::IDENTITY,
+                Space::Index => field.grid().index_to_world,
+            };
+            let (map, window) = (args.color_map, args.color_window);
+            let threads = job.budget.threads();
+            let paint = Paint::open(color, map, window, to_world, for_colours, threads);
+            Some(paint.map_err(named(&[color]))?)
+        }
+        None => None,
+    };
     if args.dry_run {
         return dry_run(args, &job, field, &options).map_err(|e| anyhow::Error::new(blame(e)));
     }
@@ -54,7 +72,7 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
         return one_part(args, &job, field, &options, part, replace)
             .map_err(|e| anyhow::Error::new(blame(e)));
     }
-    let made = make(args, &job, field, &options, replace).map_err(&blame)?;
+    let made = make(args, &job, field, &options, paint.as_ref(), replace).map_err(&blame)?;
     let took = job.seconds();
     let bytes_in = std::fs::metadata(&args.volume).map(|m| m.len()).ok();
     let bytes_out = std::fs::metadata(&args.out).map(|m| m.len()).ok();
@@ -67,7 +85,15 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
         kept,
         thinned,
         picture_bytes,
+        plain,
     } = made;
+    if let (Some(n @ 1..), Some(color)) = (plain, &args.color) {
+        job.note(&format!(
+            "{}: {} vertices have the colour of --colour: they lie beyond its samples, or where it has no value or no segment",
+            color.display(),
+            thousands(n)
+        ));
+    }
     let text = format!(
         "{}: {} triangles, {} vertices{}{}, {}, {}, peak {}\n",
         args.out.display(),
@@ -96,6 +122,7 @@ pub(crate) fn run(args: &Mesh) -> anyhow::Result<Outcome> {
         "budget_peak_bytes": job.budget.peak_bytes(), "mem_bytes": args.run.limits.mem,
         "bytes_in": bytes_in, "bytes_out": bytes_out,
         "picture": args.shot.picture, "picture_bytes": picture_bytes,
+        "color": args.color, "vertices_without_color": plain,
     });
     add_figures(&mut json, &stats, figures.as_ref());
     if let Some(kept) = kept {
@@ -278,6 +305,8 @@ struct Made {
     kept: Option<Kept>,
     thinned: Option<Simplification>,
     picture_bytes: Option<u64>,
+    /// Vertices that have no colour of their own, where colours were asked for.
+    plain: Option<u64>,
 }
 
 fn make(
@@ -285,9 +314,26 @@ fn make(
     job: &Job,
     field: &dyn Field,
     options: &Extract,
+    paint: Option<&Paint>,
     replace: Replace,
 ) -> Result<Made> {
-    let mut file = brickmarch_formats::create_mesh_sink(&args.out, replace == Replace::Yes)?;
+    let overwrite = replace == Replace::Yes;
+    let brush = paint
+        .map(|p| p.brush(args.shot.camera.colour))
+        .transpose()?;
+    let (mut plain_file, mut painted);
+    let file: &mut dyn MeshSink = match &brush {
+        Some(brush) => {
+            let inner = brickmarch_formats::create_colored_mesh_sink(&args.out, overwrite)?;
+            painted = Some(Painted::new(inner, brush));
+            painted.as_mut().expect("set above")
+        }
+        None => {
+            painted = None;
+            plain_file = brickmarch_formats::create_mesh_sink(&args.out, overwrite)?;
+            plain_file.as_mut()
+        }
+    };
     let mut raster = match &args.shot.picture {
         Some(_) => Some(open_raster(&args.shot, field, options, &job.budget)?),
         None => None,
@@ -301,27 +347,24 @@ fn make(
         let _watch = job.watch_counted("meshing", || count_work(field, options, &job.budget))?;
         let raster = raster.as_mut().map(|r| r as &mut dyn MeshSink);
         let moved = options.relax > 0;
-        pour(
-            file.as_mut(),
-            wanted,
-            raster,
-            (args.measure, moved),
-            |sink| {
-                let space = (field, options.index_space);
-                let (stats, done) =
-                    simplified(args.simplify, space, &args.out, &job.budget, sink, |sink| {
-                        let (stats, some) = extract_some(field, options, &job.budget, args, sink)?;
-                        kept = some;
-                        Ok(stats)
-                    })?;
-                thinned = done;
-                Ok(stats)
-            },
-        )?
+        pour(file, wanted, raster, (args.measure, moved), |sink| {
+            let space = (field, options.index_space);
+            let (stats, done) =
+                simplified(args.simplify, space, &args.out, &job.budget, sink, |sink| {
+                    let (stats, some) = extract_some(field, options, &job.budget, args, sink)?;
+                    kept = some;
+                    Ok(stats)
+                })?;
+            thinned = done;
+            Ok(stats)
+        })?
     };
     let mut picture_bytes = None;
     if let (Some(raster), Some(path)) = (raster, &args.shot.picture) {
-        let picture = raster.picture(&job.budget)?;
+        let picture = match &brush {
+            Some(brush) => brush.picture(&raster, &job.budget)?,
+            None => raster.picture(&job.budget)?,
+        };
         picture_bytes = Some(picture.write_png(path, replace)?);
     }
     Ok(Made {
@@ -329,6 +372,7 @@ fn make(
         kept,
         thinned,
         picture_bytes,
+        plain: painted.as_ref().map(Painted::plain),
     })
 }
 

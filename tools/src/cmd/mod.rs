@@ -22,6 +22,8 @@ mod ask;
 mod pick;
 mod region;
 
+pub(crate) use pick::named as open_named;
+
 use brickmarch::Error;
 use std::path::Path;
 

@@ -29,7 +29,7 @@ pub(super) fn open(path: &Path, pick: &Pick, budget: &Budget) -> Result<Volume> 
 ///
 /// # Errors
 /// As [`Volume::open_named`].
-pub(super) fn named(path: &Path, name: Option<&str>, budget: &Budget) -> Result<Volume> {
+pub(crate) fn named(path: &Path, name: Option<&str>, budget: &Budget) -> Result<Volume> {
     match name {
         Some(name) => Volume::open_named(path, name, budget),
         None => Volume::open(path, budget),
