@@ -7,6 +7,7 @@ mod ambiguous;
 mod brick_edge;
 mod kernel;
 mod region;
+mod sample;
 
 fn main() {
     let filter = std::env::args()
@@ -18,6 +19,9 @@ fn main() {
     }
     if "region".contains(&filter) {
         region::run();
+    }
+    if "sample".contains(&filter) {
+        sample::run();
     }
     if "ambiguous".contains(&filter) {
         ambiguous::run();

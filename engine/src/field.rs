@@ -7,6 +7,7 @@ use crate::sample::Kind;
 
 mod pin;
 pub use pin::Pin;
+pub(crate) use pin::{SamplesAt, WithSamples};
 
 /// Smallest and largest value in a box, NaN aside, and whether there may be a NaN.
 ///

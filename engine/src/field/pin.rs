@@ -75,8 +75,15 @@ impl Pin {
         &self.region
     }
 
+    /// Steps in the array from row to row and from slice to slice.
     #[inline]
-    fn offset(&self, p: [i32; 3]) -> usize {
+    pub(crate) fn steps(&self) -> [usize; 2] {
+        [self.row, self.slice]
+    }
+
+    /// Place of a point of the region in the array.
+    #[inline]
+    pub(crate) fn offset(&self, p: [i32; 3]) -> usize {
         let [i, j, k] = [0, 1, 2].map(|a| p[a].wrapping_sub(self.first[a]) as u32 as usize);
         i + j * self.row + k * self.slice
     }
@@ -91,10 +98,38 @@ impl Pin {
             Held::Packed(bytes) => f32::from(bytes.as_ref().as_ref()[at / 8] >> (at % 8) & 1),
             Held::Native(bytes, sample) => {
                 let bytes = bytes.as_ref().as_ref();
-                let width = sample.bytes();
-                let mut raw = [0; 4];
-                raw[..width].copy_from_slice(&bytes[at * width..][..width]);
-                native(*sample, raw)
+                match sample.bytes() {
+                    1 => native(*sample, [bytes[at], 0, 0, 0]),
+                    2 => {
+                        let [a, b] = bytes.as_chunks::<2>().0[at];
+                        native(*sample, [a, b, 0, 0])
+                    }
+                    _ => native(*sample, bytes.as_chunks::<4>().0[at]),
+                }
+            }
+        }
+    }
+
+    /// Does `work` with the samples.
+    #[inline]
+    pub(crate) fn with_samples<W: WithSamples>(&self, work: W) -> W::Out {
+        match &self.samples {
+            Held::Constant(value) => work.run(Same(*value)),
+            Held::Values(values) => work.run(Array(values, |v| v)),
+            Held::Packed(bytes) => work.run(Bits(bytes.as_ref().as_ref())),
+            Held::Native(bytes, sample) => {
+                let bytes = bytes.as_ref().as_ref();
+                let twos = bytes.as_chunks::<2>().0;
+                let fours = bytes.as_chunks::<4>().0;
+                match sample {
+                    SampleType::Bit | SampleType::U8 => work.run(Array(bytes, f32::from)),
+                    SampleType::I8 => work.run(Array(bytes, |b| f32::from(b as i8))),
+                    SampleType::U16 => work.run(Array(twos, |b| f32::from(u16::from_le_bytes(b)))),
+                    SampleType::I16 => work.run(Array(twos, |b| f32::from(i16::from_le_bytes(b)))),
+                    SampleType::U32 => work.run(Array(fours, |b| u32::from_le_bytes(b) as f32)),
+                    SampleType::I32 => work.run(Array(fours, |b| i32::from_le_bytes(b) as f32)),
+                    SampleType::F32 => work.run(Array(fours, f32::from_le_bytes)),
+                }
             }
         }
     }
@@ -129,6 +164,59 @@ impl Pin {
                 }
             }
         }
+    }
+}
+
+/// Work on many samples of a block, compiled for each way in which they are held.
+pub(crate) trait WithSamples {
+    /// What comes of it.
+    type Out;
+
+    fn run(self, samples: impl SamplesAt) -> Self::Out;
+}
+
+/// Samples by their place in the array of a block.
+pub(crate) trait SamplesAt {
+    fn at(&self, n: usize) -> f32;
+
+    /// The sample at a place and the next one.
+    #[inline(always)]
+    fn pair(&self, n: usize) -> [f32; 2] {
+        [self.at(n), self.at(n + 1)]
+    }
+}
+
+struct Same(f32);
+
+impl SamplesAt for Same {
+    #[inline(always)]
+    fn at(&self, _: usize) -> f32 {
+        self.0
+    }
+}
+
+struct Bits<'a>(&'a [u8]);
+
+impl SamplesAt for Bits<'_> {
+    #[inline(always)]
+    fn at(&self, n: usize) -> f32 {
+        f32::from(self.0[n / 8] >> (n % 8) & 1)
+    }
+}
+
+struct Array<'a, T, F>(&'a [T], F);
+
+impl<T: Copy, F: Fn(T) -> f32> SamplesAt for Array<'_, T, F> {
+    #[inline(always)]
+    fn at(&self, n: usize) -> f32 {
+        (self.1)(self.0[n])
+    }
+
+    /// Their bounds are checked once.
+    #[inline(always)]
+    fn pair(&self, n: usize) -> [f32; 2] {
+        let two = &self.0[n..n + 2];
+        [(self.1)(two[0]), (self.1)(two[1])]
     }
 }
 

@@ -4,7 +4,7 @@
 use super::weights::{cubic, trilinear, trilinear_gradient, weigh};
 use crate::budget::{Budget, Permit};
 use crate::error::{ErrorKind, Result};
-use crate::field::{Field, Pin};
+use crate::field::{Field, Pin, SamplesAt, WithSamples};
 use crate::lattice::Box3;
 use crate::sample::Inside;
 
@@ -111,13 +111,42 @@ impl<'a> Cursor<'a> {
         if (0..3).all(|a| p[a] + 1 < end[a]) {
             return Ok(pin.cell(p));
         }
-        let last = self.domain.max.map(|v| v - 1);
-        let mut out = [0.0; 8];
-        for (c, value) in out.iter_mut().enumerate() {
-            let corner = std::array::from_fn(|a| (p[a] + (c >> a & 1) as i32).min(last[a]));
-            *value = self.sample(corner)?;
+        self.cell_across(p, end)
+    }
+
+    /// The same where the cell reaches beyond the block that ends at `end`.
+    fn cell_across(&mut self, p: [i32; 3], end: [i32; 3]) -> Result<[f32; 8]> {
+        // Bits of the axes along which corners lie in the next block, and of those along which they lie in
+        // the same; none of both at the end of the domain.
+        let (mut across, mut within) = (0, 0);
+        for a in 0..3 {
+            if p[a] + 1 < end[a] {
+                within |= 1 << a;
+            } else if p[a] + 1 < self.domain.max[a] {
+                across |= 1 << a;
+            }
         }
-        Ok(out)
+        let mut out = [0.0; 8];
+        // Block by block: not all of them need to be held together.
+        let mut block = 0;
+        loop {
+            let bit = |a: usize| (block >> a & 1) as i32;
+            let first = [p[0] + bit(0), p[1] + bit(1), p[2] + bit(2)];
+            let pin = self.pin(first)?;
+            pin.with_samples(Corners {
+                first: pin.offset(first),
+                steps: pin.steps(),
+                across,
+                within,
+                block,
+                out: &mut out,
+            });
+            // The next number with bits of `across` only.
+            block = block.wrapping_sub(across) & across;
+            if block == 0 {
+                return Ok(out);
+            }
+        }
     }
 
     /// Lattice point at or below an index position; `None` outside of the samples, and for NaN.
@@ -127,7 +156,7 @@ impl<'a> Cursor<'a> {
             f64::from(self.domain.min[a]) <= index[a]
                 && index[a] <= f64::from(self.domain.max[a]) - 1.0
         };
-        (inside(0) && inside(1) && inside(2)).then(|| index.map(|v| v.floor() as i32))
+        (inside(0) && inside(1) && inside(2)).then(|| index.map(floor))
     }
 
     /// Value at an index position; `None` outside of the first and last samples.
@@ -155,6 +184,45 @@ impl<'a> Cursor<'a> {
                 weigh(&values, [&x, &y, &z]) as f32
             }
         }))
+    }
+
+    /// Trilinear values at `place(0)`, `place(1)` and so on; `outside` outside of the first and last
+    /// samples. The bits are those of [`value`](Self::value).
+    ///
+    /// # Errors
+    /// What the field reports.
+    #[inline]
+    pub(super) fn trilinear(
+        &mut self,
+        place: impl Fn(usize) -> [f64; 3],
+        outside: f32,
+        out: &mut [f32],
+    ) -> Result<()> {
+        let mut n = 0;
+        while n < out.len() {
+            let index = place(n);
+            let Some(base) = self.base(index) else {
+                out[n] = outside;
+                n += 1;
+                continue;
+            };
+            let pin = self.pin(base)?;
+            let within = Within {
+                pin,
+                place: |i| place(n + i),
+                out: &mut out[n..],
+            };
+            match pin.with_samples(within) {
+                // A cell between blocks.
+                0 => {
+                    let t = std::array::from_fn(|a| (index[a] - f64::from(base[a])) as f32);
+                    out[n] = trilinear(self.cell(base)?, t);
+                    n += 1;
+                }
+                done => n += done,
+            }
+        }
+        Ok(())
     }
 
     /// Gradient of the interpolant per index step; `None` outside of the first and last samples. On a
@@ -206,4 +274,72 @@ impl<'a> Cursor<'a> {
         let value = self.value(index, Method::Trilinear)?;
         Ok(value.is_some_and(|v| inside.contains(v, iso)))
     }
+}
+
+/// Those corners of a cell that lie in one of its blocks.
+struct Corners<'a> {
+    /// Place of the lowest of them.
+    first: usize,
+    steps: [usize; 2],
+    across: usize,
+    within: usize,
+    block: usize,
+    out: &'a mut [f32; 8],
+}
+
+impl WithSamples for Corners<'_> {
+    type Out = ();
+
+    #[inline]
+    fn run(self, samples: impl SamplesAt) {
+        let [row, slice] = self.steps;
+        for (c, value) in self.out.iter_mut().enumerate() {
+            if c & self.across == self.block {
+                let step = |a: usize| c >> a & self.within >> a & 1;
+                *value = samples.at(self.first + step(0) + step(1) * row + step(2) * slice);
+            }
+        }
+    }
+}
+
+/// Trilinear values at points in one block, up to the first whose cell does not lie wholly in it.
+struct Within<'a, P> {
+    pin: &'a Pin,
+    place: P,
+    out: &'a mut [f32],
+}
+
+impl<P: Fn(usize) -> [f64; 3]> WithSamples for Within<'_, P> {
+    type Out = usize;
+
+    #[inline]
+    fn run(self, samples: impl SamplesAt) -> usize {
+        let region = self.pin.region();
+        let low = region.min.map(f64::from);
+        let end = region.max.map(|v| f64::from(v) - 1.0);
+        let [row, slice] = self.pin.steps();
+        for (n, value) in self.out.iter_mut().enumerate() {
+            let p = (self.place)(n);
+            if !(0..3).all(|a| low[a] <= p[a] && p[a] < end[a]) {
+                return n;
+            }
+            let base = [floor(p[0]), floor(p[1]), floor(p[2])];
+            let t = [0, 1, 2].map(|a| (p[a] - f64::from(base[a])) as f32);
+            let at = self.pin.offset(base);
+            let [a, b] = samples.pair(at);
+            let [c, d] = samples.pair(at + row);
+            let [e, f] = samples.pair(at + slice);
+            let [g, h] = samples.pair(at + slice + row);
+            *value = trilinear([a, b, c, d, e, f, g, h], t);
+        }
+        self.out.len()
+    }
+}
+
+/// The whole number at or below `v`, which lies in the range of those: `f64::floor` is a call on processors
+/// without an instruction for it.
+#[inline(always)]
+fn floor(v: f64) -> i32 {
+    let whole = v as i32;
+    whole - i32::from(f64::from(whole) > v)
 }

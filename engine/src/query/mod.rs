@@ -11,10 +11,12 @@ mod blocks;
 mod cubic;
 mod cursor;
 mod ordered;
+mod parts;
 mod plane;
 mod points;
 mod ray;
 mod reach;
+mod scattered;
 mod statistics;
 mod stream;
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! A plane through a field, in any direction.
 
 use super::cursor::Method;
-use super::points::each_part_of;
+use super::parts::each_part_of;
 use crate::budget::Budget;
 use crate::error::{Error, Result};
 use crate::field::Field;

@@ -2,7 +2,7 @@
 
 use super::cubic::Cubic;
 use super::cursor::Cursor;
-use super::points::each_part_of;
+use super::parts::each_part_of;
 use super::reach::pass;
 use super::stream::check_region;
 use crate::budget::{Budget, Permit};
