@@ -7,6 +7,8 @@ use std::path::Path;
 
 /// Bytes of a NumPy header that is written.
 const NPY_HEADER: usize = 128;
+/// Bytes of numbers that are turned at a time.
+const RAW: usize = 1 << 14;
 /// Most bytes of a NumPy header that is read.
 const NPY_HEADER_MAX: usize = 1 << 16;
 
@@ -27,7 +29,11 @@ enum From {
     Csv(csv::Reader<BufReader<File>>, csv::StringRecord, bool),
     Npy {
         file: BufReader<File>,
-        left: u64,
+        /// Where the rows start, and how many there are.
+        start: u64,
+        rows: u64,
+        /// Row that is next.
+        at: u64,
         wide: bool,
     },
 }
@@ -54,7 +60,9 @@ impl Rows {
             }
             From::Npy {
                 file,
-                left: rows,
+                start,
+                rows,
+                at: 0,
                 wide,
             }
         } else {
@@ -80,19 +88,30 @@ impl Rows {
     pub(crate) fn next(&mut self, most: usize, out: &mut Vec<f64>) -> Result<()> {
         out.clear();
         match &mut self.from {
-            From::Npy { file, left, wide } => {
-                let rows = (most as u64).min(*left);
-                *left -= rows;
-                let mut raw = [0; 8];
+            From::Npy {
+                file,
+                rows,
+                at,
+                wide,
+                ..
+            } => {
+                let count = (most as u64).min(*rows - *at);
+                *at += count;
+                let mut left = count as usize * self.columns;
+                let mut raw = [0; RAW];
                 let width = if *wide { 8 } else { 4 };
-                for _ in 0..rows * self.columns as u64 {
-                    file.read_exact(&mut raw[..width])
+                while left > 0 {
+                    let part = left.min(RAW / width);
+                    let raw = &mut raw[..part * width];
+                    file.read_exact(raw)
                         .map_err(|e| Error::io(Path::new(&self.name), "reading", e))?;
-                    out.push(if *wide {
-                        f64::from_le_bytes(raw)
+                    if *wide {
+                        out.extend(raw.as_chunks().0.iter().map(|&b| f64::from_le_bytes(b)));
                     } else {
-                        f64::from(f32::from_le_bytes([raw[0], raw[1], raw[2], raw[3]]))
-                    });
+                        let singles = raw.as_chunks().0.iter();
+                        out.extend(singles.map(|&b| f64::from(f32::from_le_bytes(b))));
+                    }
+                    left -= part;
                 }
             }
             From::Csv(reader, record, first) => {
@@ -123,6 +142,41 @@ impl Rows {
             }
         }
         Ok(())
+    }
+}
+
+impl Rows {
+    /// Number of the row that is next and number of all, where [`go_to`](Self::go_to) works: in NumPy
+    /// files.
+    pub(crate) fn place(&self) -> Option<[u64; 2]> {
+        match &self.from {
+            From::Csv(..) => None,
+            From::Npy { at, rows, .. } => Some([*at, *rows]),
+        }
+    }
+
+    /// Makes `row` the next one.
+    ///
+    /// # Errors
+    /// When the file has no such row or cannot go there.
+    pub(crate) fn go_to(&mut self, row: u64) -> Result<()> {
+        let failed = |e| Error::io(Path::new(&self.name), "going back in it", e);
+        match &mut self.from {
+            From::Npy {
+                file,
+                start,
+                rows,
+                at,
+                wide,
+            } if row <= *rows => {
+                let bytes = self.columns as u64 * if *wide { 8 } else { 4 };
+                file.seek(SeekFrom::Start(*start + row * bytes))
+                    .map_err(failed)?;
+                *at = row;
+                Ok(())
+            }
+            _ => Err(failed(io::ErrorKind::Unsupported.into())),
+        }
     }
 }
 
@@ -201,15 +255,23 @@ impl<W: Write> Table<W> {
         })
     }
 
-    /// Adds a row.
-    pub(crate) fn row(&mut self, numbers: &[f64]) -> io::Result<()> {
-        debug_assert_eq!(numbers.len(), self.columns);
-        self.rows += 1;
-        for (n, value) in numbers.iter().enumerate() {
-            if self.npy {
-                self.out.write_all(&value.to_le_bytes())?;
-            } else {
-                let end = if n + 1 == numbers.len() { '\n' } else { ',' };
+    /// Adds rows, one after another.
+    pub(crate) fn rows(&mut self, numbers: &[f64]) -> io::Result<()> {
+        debug_assert_eq!(numbers.len() % self.columns, 0);
+        self.rows += (numbers.len() / self.columns) as u64;
+        if self.npy {
+            let mut raw = [0; RAW];
+            for part in numbers.chunks(RAW / 8) {
+                for (to, value) in raw.as_chunks_mut().0.iter_mut().zip(part) {
+                    *to = value.to_le_bytes();
+                }
+                self.out.write_all(&raw[..part.len() * 8])?;
+            }
+            return Ok(());
+        }
+        for row in numbers.chunks(self.columns) {
+            for (n, value) in row.iter().enumerate() {
+                let end = if n + 1 == row.len() { '\n' } else { ',' };
                 write!(self.out, "{value}{end}")?;
             }
         }

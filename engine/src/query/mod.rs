@@ -7,6 +7,7 @@
 //! `docs/conventions.md`.
 
 mod active;
+mod again;
 mod blocks;
 mod cubic;
 mod cursor;
@@ -24,6 +25,7 @@ mod tests;
 mod weights;
 
 pub use active::active_cells;
+pub use again::{TakePoints, are_scattered, sample_gradients_again, sample_points_again};
 pub use cursor::{Cursor, Method};
 pub use plane::{Plane, sample_plane};
 pub use points::{Sampling, Space, sample_gradients, sample_points};

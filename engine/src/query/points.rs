@@ -2,7 +2,7 @@
 
 use super::cursor::{Cursor, Method};
 use super::parts::each_part_of;
-use super::scattered::{BINS_BYTES, BlockOrder, by_block};
+use super::scattered::{BlockOrder, by_block};
 use crate::budget::Budget;
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -10,6 +10,8 @@ use crate::lattice::Affine;
 
 /// Points that one thread takes at a time.
 const PART: usize = 4096;
+/// Most bytes of answers that wait for their places.
+const ANSWERS_BYTES: usize = 2 << 20;
 /// Points in no order that are fetched together.
 const STAGE: usize = 256;
 
@@ -51,8 +53,8 @@ impl Default for Sampling {
 /// An `out` of another length, a map without an inverse, what the field reports, `Cancelled`.
 ///
 /// # Memory
-/// Points in no order are visited block by block: 8 bytes for each of as many at a time as two fifths of
-/// the budget hold, and at most 1 MiB; a cursor per thread.
+/// Points in no order are visited block by block: 4 bytes for each of as many at a time as two fifths of
+/// the budget hold; a cursor per thread.
 pub fn sample_points(
     field: &dyn Field,
     points: &[[f64; 3]],
@@ -73,7 +75,7 @@ pub fn sample_points(
 /// As [`sample_points`].
 ///
 /// # Memory
-/// As [`sample_points`], with 16 bytes for a point.
+/// As [`sample_points`].
 pub fn sample_gradients(
     field: &dyn Field,
     points: &[[f64; 3]],
@@ -186,40 +188,44 @@ fn at_places<T: Copy + Default + Send>(
     budget: &Budget,
     answer: &impl Answer<T>,
 ) -> Result<()> {
-    let blocks = BlockOrder::new(field);
+    let order = BlockOrder::new(field, budget);
     // Numbers of points have 32 bits.
     let chunks = points
         .chunks(u32::MAX as usize)
         .zip(out.chunks_mut(u32::MAX as usize));
     for (points, out) in chunks {
         let at = |n: usize| place(points[n]);
-        if !blocks.are_scattered(points.len(), at) {
+        if !order.are_scattered(points.len(), at) {
             each_part_of(out, PART, budget, field, |cursor, first, part| {
                 answer.fill(cursor, |n| at(first + n), part)
             })?;
             continue;
         }
-        let each = size_of::<u32>() + size_of::<T>();
-        let share = budget.free_bytes().min(budget.memory_bytes() / 5 * 2);
-        let most = ((share as usize).saturating_sub(BINS_BYTES) / each).clamp(PART, points.len());
-        let _permit = budget.take((most * size_of::<T>()) as u64, "a batch of answers")?;
-        let mut values = vec![T::default(); most];
-        by_block(&blocks, points.len(), most, budget, at, |numbers| {
-            let values = &mut values[..numbers.len()];
-            each_part_of(values, PART, budget, field, |cursor, first, part| {
-                // Points are fetched together: single ones would each wait for memory.
-                let mut staged = [[0.0; 3]; STAGE];
-                let numbers = numbers[first..][..part.len()].chunks(STAGE);
-                for (numbers, part) in numbers.zip(part.chunks_mut(STAGE)) {
-                    for (to, &n) in staged.iter_mut().zip(numbers) {
-                        *to = points[n as usize];
+        let share = budget.free_bytes().min(budget.memory_bytes() / 5 * 2) as usize;
+        let answers =
+            (ANSWERS_BYTES.min(share / 4) / size_of::<T>()).clamp(PART, points.len().max(PART));
+        let _permit = budget.take((answers * size_of::<T>()) as u64, "a batch of answers")?;
+        let numbers = (share - share / 4) / size_of::<u32>();
+        let most = numbers.saturating_sub(order.bins()).max(PART);
+        let mut values = vec![T::default(); answers];
+        by_block(&order, points.len(), most, budget, at, |numbers| {
+            for numbers in numbers.chunks(answers) {
+                let values = &mut values[..numbers.len()];
+                each_part_of(values, PART, budget, field, |cursor, first, part| {
+                    // Points are fetched together: single ones would each wait for memory.
+                    let mut staged = [[0.0; 3]; STAGE];
+                    let numbers = numbers[first..][..part.len()].chunks(STAGE);
+                    for (numbers, part) in numbers.zip(part.chunks_mut(STAGE)) {
+                        for (to, &n) in staged.iter_mut().zip(numbers) {
+                            *to = points[n as usize];
+                        }
+                        answer.fill(cursor, |n| place(staged[n]), part)?;
                     }
-                    answer.fill(cursor, |n| place(staged[n]), part)?;
+                    Ok(())
+                })?;
+                for (&n, &value) in numbers.iter().zip(&*values) {
+                    out[n as usize] = value;
                 }
-                Ok(())
-            })?;
-            for (&n, &value) in numbers.iter().zip(&*values) {
-                out[n as usize] = value;
             }
             Ok(())
         })?;

@@ -34,55 +34,63 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         replace,
         names,
         &job,
-        |rows, out| {
-            let given: Vec<Ray> = rows
-                .as_chunks::<6>()
-                .0
-                .iter()
-                .map(|&[x, y, z, dx, dy, dz]| Ray {
-                    origin: [x, y, z],
-                    direction: [dx, dy, dz],
-                })
-                .collect();
-            let turned: Vec<Ray> = given
-                .iter()
-                .map(|ray| match args.space {
-                    Space::Index => *ray,
-                    Space::World => Ray {
-                        origin: back.apply(ray.origin),
-                        direction: back.rows.map(|r| {
-                            let d = ray.direction;
-                            r[0] * d[0] + r[1] * d[1] + r[2] * d[2]
-                        }),
-                    },
-                })
-                .collect();
-            let mut answers = vec![[f64::NAN; 2]; given.len()];
-            rays.cast(&turned, &mut answers, &job.budget, |cursor, ray| {
-                Ok(if let Some(iso) = args.what.iso {
-                    let found = rays.first_crossing(cursor, ray, iso, 0.0)?;
-                    found.map_or([f64::NAN; 2], |c| [c.t, f64::from(u8::from(c.rising))])
-                } else if args.what.max {
-                    let found = rays.maximum(cursor, ray)?;
-                    found.map_or([f64::NAN; 2], |p| [p.t, p.value])
-                } else {
-                    let found = rays.integral(cursor, ray)?;
-                    [found.sum, found.length]
-                })
-            })?;
-            for (ray, [a, b]) in given.iter().zip(answers) {
-                if names.len() == 2 {
-                    // Steps of t are as long as the direction is.
-                    let length = ray.direction.iter().map(|d| d * d).sum::<f64>().sqrt();
-                    hits += u64::from(b > 0.0);
-                    out.extend([a * length, b * length]);
-                } else {
-                    hits += u64::from(!a.is_nan());
-                    let [x, y, z] = ray.at(a);
-                    out.extend([a, x, y, z, b]);
+        |rows, batch, put| {
+            let (mut numbers, mut out) = (Vec::new(), Vec::new());
+            loop {
+                rows.next(batch, &mut numbers)?;
+                if numbers.is_empty() {
+                    return Ok(());
                 }
+                let given: Vec<Ray> = numbers
+                    .as_chunks::<6>()
+                    .0
+                    .iter()
+                    .map(|&[x, y, z, dx, dy, dz]| Ray {
+                        origin: [x, y, z],
+                        direction: [dx, dy, dz],
+                    })
+                    .collect();
+                let turned: Vec<Ray> = given
+                    .iter()
+                    .map(|ray| match args.space {
+                        Space::Index => *ray,
+                        Space::World => Ray {
+                            origin: back.apply(ray.origin),
+                            direction: back.rows.map(|r| {
+                                let d = ray.direction;
+                                r[0] * d[0] + r[1] * d[1] + r[2] * d[2]
+                            }),
+                        },
+                    })
+                    .collect();
+                let mut answers = vec![[f64::NAN; 2]; given.len()];
+                rays.cast(&turned, &mut answers, &job.budget, |cursor, ray| {
+                    Ok(if let Some(iso) = args.what.iso {
+                        let found = rays.first_crossing(cursor, ray, iso, 0.0)?;
+                        found.map_or([f64::NAN; 2], |c| [c.t, f64::from(u8::from(c.rising))])
+                    } else if args.what.max {
+                        let found = rays.maximum(cursor, ray)?;
+                        found.map_or([f64::NAN; 2], |p| [p.t, p.value])
+                    } else {
+                        let found = rays.integral(cursor, ray)?;
+                        [found.sum, found.length]
+                    })
+                })?;
+                for (ray, [a, b]) in given.iter().zip(answers) {
+                    if names.len() == 2 {
+                        // Steps of t are as long as the direction is.
+                        let length = ray.direction.iter().map(|d| d * d).sum::<f64>().sqrt();
+                        hits += u64::from(b > 0.0);
+                        out.extend([a * length, b * length]);
+                    } else {
+                        hits += u64::from(!a.is_nan());
+                        let [x, y, z] = ray.at(a);
+                        out.extend([a, x, y, z, b]);
+                    }
+                }
+                put(&mut out)?;
+                job.budget.check_cancelled()?;
             }
-            Ok(())
         },
     )
     .map_err(blame)?;
