@@ -175,3 +175,49 @@ fn pictures_do_not_depend_on_threads_and_show_something() {
     assert_eq!(wrong.code, Some(1));
     assert!(!scratch.path("x.png").exists());
 }
+
+#[test]
+fn points_in_no_order_come_back_in_their_order() {
+    let scratch = with_volume("ask-scattered");
+    // More than a batch, so that the file is read again, and a stretch in order between.
+    let mut seed = 3u64;
+    let mut next = |size: f64| {
+        seed = seed
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (seed >> 11) as f64 / (1u64 << 53) as f64 * size - 0.5
+    };
+    let mut points = Vec::new();
+    for n in 0..50_000 {
+        points.push(match n {
+            20_000..30_000 => [f64::from(n - 20_000) * 0.002, 3.25, 7.5],
+            _ => [next(30.0), next(21.5), next(26.0)],
+        });
+    }
+    let mut raw = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+    let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (50000, 3), }";
+    raw.extend(format!("{header:<117}\n").bytes());
+    raw.extend(points.iter().flatten().flat_map(|v| v.to_le_bytes()));
+    scratch.write("p.npy", raw);
+    let lines = points.iter().map(|[x, y, z]| format!("{x},{y},{z}\n"));
+    scratch.write("p.csv", lines.collect::<String>());
+    for gradient in ["", "--gradient"] {
+        let common = format!("--space index -q --overwrite {gradient}");
+        // Rows of text cannot be read again: answered batch by batch.
+        let line = format!("sample @a.bvol @p.csv -o @text.npy --threads 1 {common}");
+        run(&scratch, &line);
+        let expected = std::fs::read(scratch.path("text.npy")).expect("written");
+        let columns = if gradient.is_empty() { 4 } else { 7 };
+        assert_eq!(expected.len(), 128 + 50_000 * 8 * columns);
+        for limits in [
+            "--mem 12MiB --threads 2",
+            "--mem 24MiB --threads 1",
+            "--mem 256MiB --threads 3",
+        ] {
+            let line = format!("sample @a.bvol @p.npy -o @out.npy {limits} {common}");
+            run(&scratch, &line);
+            let got = std::fs::read(scratch.path("out.npy")).expect("written");
+            assert!(got == expected, "{limits} {gradient}");
+        }
+    }
+}

@@ -119,7 +119,7 @@ fn again<T: Copy + Default>(
         read(&mut |points| {
             for &p in points {
                 // The points of a single bin may be more than fit.
-                if bins.contains(&order.bin(place(p))) {
+                if n < count && bins.contains(&order.bin(place(p))) {
                     if held.len() == most {
                         flush(&mut held, &mut numbers)?;
                     }
