@@ -8,6 +8,7 @@ mod brick_edge;
 mod kernel;
 mod region;
 mod sample;
+mod stream;
 
 fn main() {
     let filter = std::env::args()
@@ -22,6 +23,9 @@ fn main() {
     }
     if "sample".contains(&filter) {
         sample::run();
+    }
+    if "stream".contains(&filter) {
+        stream::run();
     }
     if "ambiguous".contains(&filter) {
         ambiguous::run();

@@ -20,6 +20,8 @@ pub(super) struct Blocks<'a, F> {
     stack: Vec<([u64; 3], u64)>,
     /// Whether a node of one value is left whole.
     pub(super) whole: bool,
+    /// Whether no range is asked for: all blocks come, and who takes them looks for those of one value.
+    pub(super) unseen: bool,
     /// Samples beyond the node, upward, that count for it.
     pub(super) apron: i32,
     /// Whether a node with this range is wanted.
@@ -43,6 +45,7 @@ impl<'a, F: FnMut(&Range) -> bool> Blocks<'a, F> {
             region,
             stack,
             whole: false,
+            unseen: false,
             apron: 0,
             wanted,
         }
@@ -64,15 +67,19 @@ impl<'a, F: FnMut(&Range) -> bool> Blocks<'a, F> {
             if region.is_empty() {
                 continue;
             }
-            let seen = Box3::new(region.min, region.max.map(|v| v.saturating_add(self.apron)));
-            let range = self.field.range(seen.intersect(&domain))?;
-            if !(self.wanted)(&range) {
-                continue;
-            }
             let leaf = edge <= u64::from(self.field.block_edge());
-            let one = !range.has_nan && range.min.to_bits() == range.max.to_bits();
-            if leaf || (one && self.whole) {
-                let constant = one.then_some(range.min);
+            if !self.unseen {
+                let seen = Box3::new(region.min, region.max.map(|v| v.saturating_add(self.apron)));
+                let range = self.field.range(seen.intersect(&domain))?;
+                if !(self.wanted)(&range) {
+                    continue;
+                }
+                let constant = one_value(&range);
+                if leaf || (constant.is_some() && self.whole) {
+                    return Ok(Some(Block { region, constant }));
+                }
+            } else if leaf {
+                let constant = None;
                 return Ok(Some(Block { region, constant }));
             }
             let half = edge / 2;
@@ -83,4 +90,10 @@ impl<'a, F: FnMut(&Range) -> bool> Blocks<'a, F> {
         }
         Ok(None)
     }
+}
+
+/// The value of all samples, where a range tells it.
+pub(super) fn one_value(range: &Range) -> Option<f32> {
+    let one = !range.has_nan && range.min.to_bits() == range.max.to_bits();
+    one.then_some(range.min)
 }

@@ -6,9 +6,12 @@ use crossbeam::channel;
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 
+/// Tickets that may be under way for each thread.
+pub(super) const AHEAD: usize = 3;
+
 /// Takes things from `next` until there are none, works on them on the threads of the budget, and hands
 /// the results to `take` in the order of `next`, on the calling thread. At most `ahead` results are
-/// made and not taken.
+/// made and not taken. Where that is many, threads take several things at a time.
 ///
 /// # Errors
 /// The first error of any of the three, in that order; `Cancelled`.
@@ -27,11 +30,13 @@ pub(super) fn in_order<W: Send, T: Send>(
         }
         return Ok(());
     }
+    let group = (ahead / (AHEAD * threads)).max(1);
+    let tickets = ahead / group;
     let source = Mutex::new((0u64, next));
-    // A token is the right to have one result under way.
-    let (give, tokens) = channel::bounded::<()>(ahead);
+    // A token is the right to have one group of results under way.
+    let (give, tokens) = channel::bounded::<()>(tickets);
     let (done, results) = channel::unbounded();
-    for _ in 0..ahead {
+    for _ in 0..tickets {
         give.send(()).expect("there is room for all tokens");
     }
     let work = &work;
@@ -41,21 +46,34 @@ pub(super) fn in_order<W: Send, T: Send>(
             let (tokens, done) = (tokens.clone(), done.clone());
             scope.spawn(move || {
                 while tokens.recv().is_ok() {
-                    let (ticket, thing) = {
+                    let mut things = Vec::with_capacity(group);
+                    let (ticket, mut ended) = {
                         let mut source = source.lock().expect("sources do not panic");
-                        let thing = match budget.check_cancelled() {
-                            Ok(()) => source.1(),
-                            Err(e) => Err(e),
-                        };
                         source.0 += 1;
-                        (source.0, thing)
+                        let ended = loop {
+                            if things.len() == group {
+                                break None;
+                            }
+                            match budget.check_cancelled().and_then(|()| source.1()) {
+                                Ok(Some(thing)) => things.push(thing),
+                                Ok(None) => break Some(Ok(())),
+                                Err(e) => break Some(Err(e)),
+                            }
+                        };
+                        (source.0, ended)
                     };
-                    let result = match thing {
-                        Ok(None) => break,
-                        Ok(Some(thing)) => work(thing),
-                        Err(e) => Err(e),
-                    };
-                    if done.send((ticket, result)).is_err() {
+                    let mut made = Vec::with_capacity(things.len());
+                    for thing in things {
+                        match work(thing) {
+                            Ok(result) => made.push(result),
+                            Err(e) => {
+                                ended = Some(Err(e));
+                                break;
+                            }
+                        }
+                    }
+                    let last = ended.is_some();
+                    if done.send((ticket, made, ended)).is_err() || last {
                         break;
                     }
                 }
@@ -66,10 +84,13 @@ pub(super) fn in_order<W: Send, T: Send>(
         let (give, results) = (give, results);
         let mut waiting = BTreeMap::new();
         let mut expected = 1;
-        for (ticket, result) in &results {
-            waiting.insert(ticket, result);
-            while let Some(result) = waiting.remove(&expected) {
-                take(result?)?;
+        for (ticket, made, ended) in &results {
+            waiting.insert(ticket, (made, ended));
+            while let Some((made, ended)) = waiting.remove(&expected) {
+                made.into_iter().try_for_each(&mut take)?;
+                if let Some(Err(e)) = ended {
+                    return Err(e);
+                }
                 expected += 1;
                 // Nobody may be left to take it.
                 let _ = give.try_send(());

@@ -2,7 +2,7 @@
 //! read.
 
 use super::blocks::{Block, Blocks};
-use super::ordered::in_order;
+use super::ordered::{AHEAD, in_order};
 use super::stream::{ahead, check_region};
 use crate::budget::Budget;
 use crate::error::{Error, Result};
@@ -113,6 +113,7 @@ pub fn statistics(field: &dyn Field, region: Box3, budget: &Budget) -> Result<St
     by_blocks(
         field,
         region,
+        ahead(field, budget),
         budget,
         |block, values| match block.constant {
             Some(value) => Part::constant(value, block.region.count()),
@@ -196,12 +197,15 @@ pub fn histogram(
         )));
     }
     let slots = bins.count + 3;
-    let waiting = ahead(field, budget) as u64;
-    let _permit = budget.take(slots as u64 * (8 + 4 * waiting), "the bins of a histogram")?;
+    // Counts of many bins are larger than the blocks that they come from.
+    let waiting = ahead(field, budget).min(AHEAD * budget.threads());
+    let bytes = slots as u64 * (8 + 4 * waiting as u64);
+    let _permit = budget.take(bytes, "the bins of a histogram")?;
     let mut all = vec![0u64; slots];
     by_blocks(
         field,
         region,
+        waiting,
         budget,
         |block, values| match block.constant {
             Some(value) => Counted::Same(bins.slot(value), block.region.count()),
@@ -235,10 +239,11 @@ enum Counted {
 }
 
 /// `look` at each block of `region`, and at its samples where they are not of one value; the results
-/// to `join` in Morton order.
+/// to `join` in Morton order; at most `waiting` of them are made and not joined.
 fn by_blocks<T: Send>(
     field: &dyn Field,
     region: Box3,
+    waiting: usize,
     budget: &Budget,
     look: impl Fn(&Block, &[f32]) -> T + Sync,
     mut join: impl FnMut(T),
@@ -248,7 +253,7 @@ fn by_blocks<T: Send>(
     blocks.whole = true;
     in_order(
         budget,
-        ahead(field, budget),
+        waiting,
         || blocks.next(),
         |block| {
             if block.constant.is_some() {

@@ -1,14 +1,14 @@
 //! The bricks of a region, one after another, in bounded memory.
 
-use super::blocks::{Block, Blocks};
-use super::ordered::in_order;
+use super::blocks::{Block, Blocks, one_value};
+use super::ordered::{AHEAD, in_order};
 use crate::budget::{Budget, Permit};
 use crate::error::{Error, Result};
 use crate::field::{Field, Range, Samples};
 use crate::lattice::Box3;
 
-/// Results that may wait for each thread.
-const AHEAD: usize = 3;
+/// Samples of small blocks that one thread takes at a time.
+const GROUP: u64 = 1 << 15;
 
 /// A block of a region.
 #[derive(Debug)]
@@ -33,7 +33,7 @@ pub enum BrickSamples {
 impl Brick {
     fn read(field: &dyn Field, block: Block, budget: &Budget) -> Result<Brick> {
         let region = block.region;
-        if let Some(value) = block.constant {
+        if let Some(value) = one_value(&field.range(region)?) {
             return Ok(Brick {
                 region,
                 samples: BrickSamples::Constant(value),
@@ -69,9 +69,11 @@ impl<'a> Bricks<'a> {
     /// When `region` is not inside the domain.
     pub fn new(field: &'a dyn Field, region: Box3, budget: &Budget) -> Result<Self> {
         check_region(field, region)?;
+        let mut blocks: Blocks<'a, fn(&Range) -> bool> = Blocks::new(field, region, |_| true);
+        blocks.unseen = true;
         Ok(Self {
             field,
-            blocks: Blocks::new(field, region, |_| true),
+            blocks,
             left: None,
             budget: budget.clone(),
         })
@@ -109,7 +111,8 @@ impl Iterator for Bricks<'_> {
 /// When `region` is not inside the domain, what the field and `take` report, `Cancelled`.
 ///
 /// # Memory
-/// At most four bricks a thread, and a quarter of what is free, beside those that `take` keeps.
+/// At most three bricks of 32^3 samples a thread, or as many smaller ones, and a quarter of what is free,
+/// beside those that `take` keeps.
 pub fn bricks_of(
     field: &dyn Field,
     region: Box3,
@@ -118,6 +121,7 @@ pub fn bricks_of(
 ) -> Result<()> {
     check_region(field, region)?;
     let mut blocks = Blocks::new(field, region, |_: &Range| true);
+    blocks.unseen = true;
     in_order(
         budget,
         ahead(field, budget),
@@ -129,9 +133,10 @@ pub fn bricks_of(
 
 /// Results that the memory allows to wait.
 pub(super) fn ahead(field: &dyn Field, budget: &Budget) -> usize {
-    let brick = u64::from(field.block_edge()).pow(3) * 4;
-    let room = (budget.free_bytes() / 4 / brick) as usize;
-    room.clamp(1, AHEAD * budget.threads())
+    let samples = u64::from(field.block_edge()).pow(3);
+    let room = (budget.free_bytes() / 4 / (samples * 4)) as usize;
+    let group = (GROUP / samples).max(1) as usize;
+    room.clamp(1, AHEAD * budget.threads() * group)
 }
 
 /// # Errors

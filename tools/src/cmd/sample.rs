@@ -8,8 +8,8 @@ use crate::job::Job;
 use crate::output::{self, Replace};
 use crate::table::Rows;
 use brickmarch::query::{
-    Sampling, TakePoints, are_scattered, sample_gradients, sample_gradients_again,
-    sample_points, sample_points_again,
+    Sampling, TakePoints, are_scattered, sample_gradients, sample_gradients_again, sample_points,
+    sample_points_again,
 };
 use brickmarch::store::Volume;
 use brickmarch::{Budget, Field, Result};
