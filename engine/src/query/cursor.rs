@@ -186,13 +186,13 @@ impl<'a> Cursor<'a> {
         }))
     }
 
-    /// Trilinear values at `place(0)`, `place(1)` and so on; `outside` outside of the first and last
-    /// samples. The bits are those of [`value`](Self::value).
+    /// Trilinear values at `place(0)`, `place(1)` and so on, index positions, for each of `out`; `outside`
+    /// outside of the first and last samples. Faster where neighbours share a block. The bits are those of [`value`](Self::value).
     ///
     /// # Errors
     /// What the field reports.
     #[inline]
-    pub(super) fn trilinear(
+    pub fn trilinear(
         &mut self,
         place: impl Fn(usize) -> [f64; 3],
         outside: f32,

@@ -16,6 +16,9 @@ use serde_json::json;
 
 /// Cells along the longest edge of a scene when nobody says.
 const DEFAULT_RESOLUTION: u32 = 256;
+/// What memory is for.
+const SHADING: &str = "shading the picture (a smaller --size takes less)";
+const SEEN: &str = "what rays see (a smaller --size takes less)";
 
 pub(crate) fn run(args: &Render) -> anyhow::Result<Outcome> {
     let replace = Replace::from(&args.overwrite);
@@ -96,7 +99,10 @@ fn draw(args: &Render, field: &dyn Field, iso: Option<f32>, job: &Job) -> Result
     let bounds = crossing_bounds(field, part, iso, inside)?;
     let raster = Raster::new(&look, &bounds, &job.budget)?;
     let rays = Rays::new(field, part, &job.budget)?;
+    // So that the end of a long work is not where it fails.
+    let shading = job.budget.take(raster.shading_bytes(), SHADING)?;
     raster.cast(&rays, Surface { iso, inside }, &job.budget)?;
+    drop(shading);
     raster.picture(&job.budget)
 }
 
@@ -120,14 +126,23 @@ fn veil(args: &Render, field: &dyn Field, part: Box3, look: &Look, job: &Job) ->
     let raster = Raster::new(look, &bounds, &job.budget)?;
     let rays = Rays::new(field, part, &job.budget)?;
     let samples = u64::from(look.width) * u64::from(look.height) * 4;
-    let _permit = job
-        .budget
-        .take(samples * 40, "what rays see (a smaller --size takes less)")?;
-    let colour = |place: f32| from_srgb(colourmap::colour(args.map, place)).to_array();
-    let seen = if args.max {
+    let each = if args.max {
+        size_of::<f32>()
+    } else {
+        size_of::<[f32; 4]>()
+    };
+    let _permit = job.budget.take(samples * each as u64, SEEN)?;
+    // So that the end of a long work is not where it fails.
+    let shading = job.budget.take(raster.shading_bytes(), SHADING)?;
+    // A step of a ray through fog should not wait for a power.
+    let linear: [f32; 256] = std::array::from_fn(|v| from_srgb([v as u8; 3]).x);
+    let colour = |place: f32| colourmap::colour(args.map, place).map(|v| linear[usize::from(v)]);
+    if args.max {
         let values = highest(&rays, &raster, &job.budget)?;
+        drop(shading);
         let span = window.1 - window.0;
-        let shown = |value: f32| {
+        let shown = |at: usize| {
+            let value = values[at];
             if value.is_nan() {
                 return [0.0; 4];
             }
@@ -135,14 +150,14 @@ fn veil(args: &Render, field: &dyn Field, part: Box3, look: &Look, job: &Job) ->
             let [r, g, b] = colour(place);
             [r, g, b, 1.0]
         };
-        values.into_iter().map(shown).collect()
-    } else {
-        let how = Fog {
-            window,
-            opacity: args.opacity,
-            colour: &colour,
-        };
-        fog(&rays, &raster, &how, &job.budget)?
+        return raster.behind(shown, &job.budget);
+    }
+    let how = Fog {
+        window,
+        opacity: args.opacity,
+        colour: &colour,
     };
-    raster.behind(&seen, &job.budget)
+    let seen = fog(&rays, &raster, &how, &job.budget)?;
+    drop(shading);
+    raster.behind(|at| seen[at], &job.budget)
 }

@@ -3,7 +3,7 @@
 use super::camera::Camera;
 use super::raster::Raster;
 use brickmarch::query::{Cursor, Method, Ray, Rays};
-use brickmarch::{Affine, Budget, Field, Inside, Range, Result};
+use brickmarch::{Affine, Box3, Budget, Field, Inside, Range, Result};
 use glam::DVec3;
 use std::ops::ControlFlow;
 use std::sync::Mutex;
@@ -11,6 +11,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Edge of the squares of a picture that one thread draws at a time: neighbours share bricks.
 const SQUARE: usize = 32;
+/// Steps of a ray that are read together.
+const TOGETHER: usize = 32;
 /// Opacity beyond which nothing behind is seen.
 const OPAQUE: f32 = 0.995;
 
@@ -43,6 +45,7 @@ impl Raster {
         let map = rays.field().grid().index_to_world;
         let back = map.inverse()?;
         let slopes = map.gradient_rows();
+        let domain = rays.field().grid().domain;
         squares(rays.field(), self.size, budget, |cursor, x, y| {
             let ray = self.camera.ray(x as f64 + 0.5, y as f64 + 0.5, &back);
             let Some((t, cut)) = first_inside(rays, cursor, &ray, surface)? else {
@@ -52,7 +55,7 @@ impl Raster {
             let normal = match cut {
                 Some(axis) => DVec3::from_array(std::array::from_fn(|r| slopes[r][axis])),
                 None => {
-                    let g = cursor.gradient(hold(cursor, place), Method::Tricubic)?;
+                    let g = cursor.gradient(hold(domain, place), Method::Tricubic)?;
                     let g = g.unwrap_or_default().map(f64::from);
                     DVec3::from_array(slopes.map(|r| r[0] * g[0] + r[1] * g[1] + r[2] * g[2]))
                 }
@@ -75,13 +78,13 @@ impl Raster {
                 self.put_light(x, y, DVec3::from_array(map.apply(ray.at(t))));
             }
             Ok(())
-        })
+        })?;
+        Ok(())
     }
 }
 
 /// A point that is outside of the samples by rounding only, moved in.
-fn hold(cursor: &Cursor<'_>, p: [f64; 3]) -> [f64; 3] {
-    let domain = cursor.field().grid().domain;
+fn hold(domain: Box3, p: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|a| p[a].clamp(f64::from(domain.min[a]), f64::from(domain.max[a]) - 1.0))
 }
 
@@ -95,7 +98,7 @@ fn first_inside(
     let Some([start, _]) = rays.span(ray, 0.0) else {
         return Ok(None);
     };
-    let place = hold(cursor, ray.at(start));
+    let place = hold(rays.field().grid().domain, ray.at(start));
     if cursor.is_inside(place, surface.iso, surface.inside)? {
         // The axis whose border it has just passed.
         let part = rays.region();
@@ -125,6 +128,9 @@ pub(crate) struct Fog<'a> {
 ///
 /// # Errors
 /// What the field reports, `Cancelled`.
+///
+/// # Memory
+/// 16 bytes for each sample of the picture.
 pub(crate) fn fog(
     rays: &Rays<'_>,
     raster: &Raster,
@@ -132,10 +138,9 @@ pub(crate) fn fog(
     budget: &Budget,
 ) -> Result<Vec<[f32; 4]>> {
     let back = rays.field().grid().index_to_world.inverse()?;
-    let size = raster.size;
-    let out: Vec<Mutex<[f32; 4]>> = (0..size[0] * size[1]).map(|_| Mutex::default()).collect();
     let span = fog.window.1 - fog.window.0;
-    squares(rays.field(), size, budget, |cursor, x, y| {
+    let domain = rays.field().grid().domain;
+    squares(rays.field(), raster.size, budget, |cursor, x, y| {
         let ray = raster.camera.ray(x as f64 + 0.5, y as f64 + 0.5, &back);
         let length = ray.direction.iter().map(|d| d * d).sum::<f64>().sqrt();
         let step = 0.5 / length;
@@ -145,75 +150,70 @@ pub(crate) fn fog(
                 return ControlFlow::Continue(());
             }
             // Steps are counted from the start of the ray, so that blocks leave no seams.
-            let mut n = (start / step).ceil();
-            while n * step < end {
-                let place = hold(cursor, ray.at(n * step));
-                let value = match cursor.value(place, Method::Trilinear) {
-                    Ok(value) => value.unwrap_or(f32::NAN),
-                    Err(e) => return ControlFlow::Break(Err(e)),
-                };
-                let strength = ((f64::from(value) - fog.window.0) / span).clamp(0.0, 1.0);
-                if strength > 0.0 {
-                    let here = (1.0 - (1.0 - fog.opacity * strength).sqrt()) as f32 * (1.0 - alpha);
-                    let c = (fog.colour)(strength as f32);
-                    (r, g, b) = (r + here * c[0], g + here * c[1], b + here * c[2]);
-                    alpha += here;
-                    if alpha > OPAQUE {
-                        return ControlFlow::Break(Ok(()));
+            let first = (start / step).ceil();
+            let count = ((end / step).ceil() - first).max(0.0) as usize;
+            let mut values = [0.0; TOGETHER];
+            for done in (0..count).step_by(TOGETHER) {
+                let values = &mut values[..(count - done).min(TOGETHER)];
+                let place = |n: usize| hold(domain, ray.at((first + (done + n) as f64) * step));
+                if let Err(e) = cursor.trilinear(place, f32::NAN, values) {
+                    return ControlFlow::Break(Err(e));
+                }
+                for &mut value in values {
+                    let strength = ((f64::from(value) - fog.window.0) / span).clamp(0.0, 1.0);
+                    if strength > 0.0 {
+                        let taken = (1.0 - (1.0 - fog.opacity * strength).sqrt()) as f32;
+                        let here = taken * (1.0 - alpha);
+                        let c = (fog.colour)(strength as f32);
+                        (r, g, b) = (r + here * c[0], g + here * c[1], b + here * c[2]);
+                        alpha += here;
+                        if alpha > OPAQUE {
+                            return ControlFlow::Break(Ok(()));
+                        }
                     }
                 }
-                n += 1.0;
             }
             ControlFlow::Continue(())
         });
         if let ControlFlow::Break(ended) = walked {
             ended?;
         }
-        *out[x + y * size[0]].lock().expect("no holder panics") = [r, g, b, alpha];
-        Ok(())
-    })?;
-    Ok(out
-        .into_iter()
-        .map(|cell| cell.into_inner().expect("no holder panics"))
-        .collect())
+        Ok([r, g, b, alpha])
+    })
 }
 
 /// The largest value along the ray of each sample of a picture; NaN where it meets none.
 ///
 /// # Errors
 /// What the field reports, `Cancelled`.
+///
+/// # Memory
+/// 4 bytes for each sample of the picture.
 pub(crate) fn highest(rays: &Rays<'_>, raster: &Raster, budget: &Budget) -> Result<Vec<f32>> {
     let back = rays.field().grid().index_to_world.inverse()?;
-    let size = raster.size;
-    let out: Vec<std::sync::atomic::AtomicU32> = (0..size[0] * size[1])
-        .map(|_| f32::NAN.to_bits().into())
-        .collect();
-    squares(rays.field(), size, budget, |cursor, x, y| {
+    squares(rays.field(), raster.size, budget, |cursor, x, y| {
         let ray = raster.camera.ray(x as f64 + 0.5, y as f64 + 0.5, &back);
-        if let Some(peak) = rays.maximum(cursor, &ray)? {
-            out[x + y * size[0]].store((peak.value as f32).to_bits(), Ordering::Relaxed);
-        }
-        Ok(())
-    })?;
-    Ok(out
-        .into_iter()
-        .map(|v| f32::from_bits(v.into_inner()))
-        .collect())
+        let peak = rays.maximum(cursor, &ray)?;
+        Ok(peak.map_or(f32::NAN, |peak| peak.value as f32))
+    })
 }
 
-/// Calls `draw` for every sample of a picture, square by square on the threads of the budget.
-fn squares(
+/// What `draw` gives for every sample of a picture, row after row; found square by square on the threads
+/// of the budget.
+fn squares<T: Copy + Default + Send>(
     field: &dyn Field,
     size: [usize; 2],
     budget: &Budget,
-    draw: impl Fn(&mut Cursor<'_>, usize, usize) -> Result<()> + Sync,
-) -> Result<()> {
+    draw: impl Fn(&mut Cursor<'_>, usize, usize) -> Result<T> + Sync,
+) -> Result<Vec<T>> {
     let across = size[0].div_ceil(SQUARE);
     let count = across * size[1].div_ceil(SQUARE);
     let next = AtomicUsize::new(0);
     let failed = Mutex::new(None);
+    let all = Mutex::new(vec![T::default(); size[0] * size[1]]);
     budget.progress().start(count as u64);
     let work = |cursor: &mut Cursor<'_>| -> Result<()> {
+        let mut square = Vec::with_capacity(SQUARE * SQUARE);
         loop {
             let n = next.fetch_add(1, Ordering::Relaxed);
             if n >= count {
@@ -221,11 +221,18 @@ fn squares(
             }
             budget.check_cancelled()?;
             let (left, top) = (n % across * SQUARE, n / across * SQUARE);
-            for y in top..(top + SQUARE).min(size[1]) {
-                for x in left..(left + SQUARE).min(size[0]) {
-                    draw(cursor, x, y)?;
+            let (right, bottom) = ((left + SQUARE).min(size[0]), (top + SQUARE).min(size[1]));
+            square.clear();
+            for y in top..bottom {
+                for x in left..right {
+                    square.push(draw(cursor, x, y)?);
                 }
             }
+            let mut all = all.lock().expect("no holder panics");
+            for (row, y) in square.chunks(right - left).zip(top..) {
+                all[y * size[0] + left..][..row.len()].copy_from_slice(row);
+            }
+            drop(all);
             budget.progress().add(1);
         }
     };
@@ -242,6 +249,6 @@ fn squares(
     });
     match failed.into_inner().expect("no holder panics") {
         Some(e) => Err(e),
-        None => Ok(()),
+        None => Ok(all.into_inner().expect("no holder panics")),
     }
 }

@@ -69,9 +69,9 @@ impl Raster {
     /// # Errors
     /// When the memory is not there, or the budget was cancelled.
     pub(crate) fn painted(&self, paint: Option<Paint<'_>>, budget: &Budget) -> Result<Picture> {
-        let (w, h) = (self.look.width as usize, self.look.height as usize);
+        let w = self.look.width as usize;
         let [fine_w, fine_h] = self.size;
-        let _permit = budget.take((w * h * 3 + fine_w * fine_h) as u64, "shading the picture")?;
+        let _permit = budget.take(self.shading_bytes(), "shading the picture")?;
         let scale = self.light_units();
         // A spiral, denser towards the middle, so that fine and coarse hollows both show.
         let around = spirals(HOLLOW_SAMPLES, 5.0, 1.8);
@@ -100,11 +100,21 @@ impl Raster {
         Ok(picture)
     }
 
-    /// The background behind `samples`, linear colour times opacity, and opacity.
+    /// Memory that shading takes at most.
+    pub(crate) fn shading_bytes(&self) -> u64 {
+        let pixels = u64::from(self.look.width) * u64::from(self.look.height);
+        pixels * (3 + (SUPER * SUPER) as u64)
+    }
+
+    /// The background behind `samples(place)`, linear colour times opacity, and opacity.
     ///
     /// # Errors
     /// When the memory is not there, or the budget was cancelled.
-    pub(crate) fn behind(&self, samples: &[[f32; 4]], budget: &Budget) -> Result<Picture> {
+    pub(crate) fn behind(
+        &self,
+        samples: impl Fn(usize) -> [f32; 4] + Sync,
+        budget: &Budget,
+    ) -> Result<Picture> {
         let (w, h) = (self.look.width as usize, self.look.height as usize);
         let _permit = budget.take((w * h * 3) as u64, "shading the picture")?;
         let mut picture = Picture::rgb(self.look.width, self.look.height);
@@ -113,7 +123,7 @@ impl Raster {
                 let mut sum = Vec3::ZERO;
                 for sub in 0..SUPER * SUPER {
                     let (sx, sy) = (x * SUPER + sub % SUPER, y * SUPER + sub / SUPER);
-                    let [r, g, b, alpha] = samples[sx + sy * self.size[0]];
+                    let [r, g, b, alpha] = samples(sx + sy * self.size[0]);
                     sum += Vec3::new(r, g, b) + self.background(sx, sy) * (1.0 - alpha);
                 }
                 pixel.copy_from_slice(&to_srgb(sum / (SUPER * SUPER) as f32));
