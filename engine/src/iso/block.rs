@@ -8,7 +8,6 @@
 //! Samples outside the region that is meshed are NaN, and NaN is outside: that closes the solid
 //! with a cap, and nothing else in here knows of borders.
 
-use super::cells::RowNumbers;
 use super::cube::{OTHER, corner};
 use super::dispatch::Level;
 use super::place::Placement;
@@ -44,6 +43,10 @@ pub(super) struct Block {
     pub(super) crossed: [Vec<u64>; 3],
     /// Number of the first vertex per axis and row.
     pub(super) base: [Vec<u32>; 3],
+    /// Active cells, a mask per row of points.
+    pub(super) active_masks: Vec<u64>,
+    /// Room for a list of rows, a bit each.
+    pub(super) rows: Vec<u8>,
     /// Rows of cells that the surface crosses: row of points, and the end of its cells in `cells`.
     pub(super) active: Vec<(u32, u32)>,
     /// The active cells: x, and the mask of its inside corners shifted by [`MASK_SHIFT`].
@@ -91,11 +94,17 @@ pub(super) struct Style {
 }
 
 /// The parts of [`Block::emit_with`] that differ between processors.
-pub(super) struct Emit<E, P, T> {
+pub(super) struct Emit<R, E, P, O, N, T> {
+    /// See [`rows_with`].
+    pub(super) rows_with: R,
     /// See [`list_edges`](super::vertices::list_edges).
     pub(super) list_edges: E,
     /// See [`place`](super::vertices::place).
     pub(super) place: P,
+    /// See [`list_own`](super::vertices::list_own).
+    pub(super) list_own: O,
+    /// See [`RowNumbers::new`](super::cells::RowNumbers::new).
+    pub(super) numbers: N,
     /// See [`write_triangles`](super::cells::write_triangles).
     pub(super) triangles: T,
 }
@@ -153,7 +162,7 @@ impl Block {
 
     /// [`emit`](Self::emit), in parts that are written anew for newer processors.
     #[inline(always)]
-    pub(super) fn emit_with(
+    pub(super) fn emit_with<N>(
         &mut self,
         samples: &BlockSamples,
         style: &Style,
@@ -161,24 +170,28 @@ impl Block {
         piece: &mut Piece,
         out: &mut BlockOutput,
         by: Emit<
-            impl Fn(u32, u64, &mut Vec<u32>),
+            impl Fn([&[u64]; 3], u64, &mut [u8]),
+            impl Fn(u32, u64, &mut [u32]) -> usize,
             impl Fn(&Placed<'_>, &[u32], &mut [[f32; 3]]),
-            impl Fn(&RowNumbers, u32, &[u8; 16], &mut [u32; 16]),
+            impl Fn(&[u32], u32, [bool; 3], &mut [u32]) -> usize,
+            impl Fn(&Block, usize, usize, u32) -> N,
+            impl Fn(&N, u32, &[u8; 16], &mut [u32; 16]),
         >,
     ) {
         out.first = piece.positions.len() as u32;
-        self.emit_vertices(samples, style, borrowed, piece, by.list_edges, by.place);
-        self.emit_triangles(samples, style, piece, out, by.triangles);
+        self.emit_vertices(samples, style, borrowed, piece, &by);
+        self.emit_triangles(samples, style, piece, out, &by.numbers, &by.triangles);
         out.count = piece.positions.len() as u32 - out.first;
         out.active_cells = self.cells.len() as u64;
         for axis in 0..3 {
             let size = samples.size;
             if borrowed[axis] {
-                self.face(size, axis, 0, out.first, &mut out.low[axis]);
+                self.face(size, axis, 0, out.first, &mut out.low[axis], &by.rows_with);
             } else {
                 out.low[axis].clear();
             }
-            self.face(size, axis, size[axis] - 1, out.first, &mut out.high[axis]);
+            let (last, high) = (size[axis] - 1, &mut out.high[axis]);
+            self.face(size, axis, last, out.first, high, &by.rows_with);
         }
     }
 
@@ -198,27 +211,70 @@ impl Block {
     }
 
     /// Vertices on the plane `at` of `axis`, in an order that both blocks of the plane agree on.
-    fn face(&self, size: [usize; 3], axis: usize, at: usize, first: u32, out: &mut Vec<u32>) {
+    #[inline(always)]
+    fn face(
+        &mut self,
+        size: [usize; 3],
+        axis: usize,
+        at: usize,
+        first: u32,
+        out: &mut Vec<u32>,
+        rows_with: impl Fn([&[u64]; 3], u64, &mut [u8]),
+    ) {
         out.clear();
         let [_, ny, nz] = size;
+        if axis == 0 {
+            let mut rows = std::mem::take(&mut self.rows);
+            rows.resize(rows.len().max((ny * nz).div_ceil(8)), 0);
+            let [_, y, z] = &self.crossed;
+            rows_with([y, z, z], 1 << at, &mut rows);
+            each_row(&rows[..(ny * nz).div_ceil(8)], |row| {
+                for along in OTHER[0] {
+                    if self.crossed[along][row] >> at & 1 == 1 {
+                        out.push(first + self.vertex(along, at as u32, row));
+                    }
+                }
+            });
+            self.rows = rows;
+            return;
+        }
         let (ys, zs) = match axis {
-            0 => (0..ny, 0..nz),
             1 => (at..at + 1, 0..nz),
             _ => (0..ny, at..at + 1),
         };
-        let bits = if axis == 0 { 1 << at } else { u64::MAX };
         for z in zs {
             for y in ys.clone() {
                 let row = y + ny * z;
+                // All crossed edges of the row: their numbers follow each other.
                 for along in OTHER[axis] {
-                    let mut edges = self.crossed[along][row] & bits;
-                    while edges != 0 {
-                        let x = edges.trailing_zeros();
-                        edges &= edges - 1;
-                        out.push(first + self.vertex(along, x, row));
-                    }
+                    let start = first + self.base[along][row];
+                    out.extend(start..start + self.crossed[along][row].count_ones());
                 }
             }
+        }
+    }
+}
+
+/// Which rows have one of `bits` in one of their three masks: a bit per row, from the lowest.
+#[inline(always)]
+pub(super) fn rows_with([a, b, c]: [&[u64]; 3], bits: u64, out: &mut [u8]) {
+    let masks = a.chunks(8).zip(b.chunks(8)).zip(c.chunks(8));
+    for (((a, b), c), out) in masks.zip(out) {
+        let rows = a.iter().zip(b).zip(c).enumerate();
+        *out = rows.fold(0, |found, (i, ((a, b), c))| {
+            found | u8::from((a | b | c) & bits != 0) << i
+        });
+    }
+}
+
+/// Calls `f` for every row of a list of bits.
+#[inline(always)]
+pub(super) fn each_row(bits: &[u8], mut f: impl FnMut(usize)) {
+    for (i, &byte) in bits.iter().enumerate() {
+        let mut rest = byte;
+        while rest != 0 {
+            f(8 * i + rest.trailing_zeros() as usize);
+            rest &= rest - 1;
         }
     }
 }

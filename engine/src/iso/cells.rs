@@ -11,15 +11,15 @@ use crate::mesh::{EdgeKey, Piece};
 /// What numbers the vertices around a row of cells: crossed edges and first number, of the four
 /// rows of x edges (y, z), (y+1, z), (y, z+1), (y+1, z+1), of the rows of y edges at z and z + 1, and
 /// of the rows of z edges at y and y + 1.
-#[repr(align(64))]
 pub(super) struct RowNumbers {
-    pub(super) crossed: [u64; 8],
-    pub(super) base: [u32; 8],
+    crossed: [u64; 8],
+    base: [u32; 8],
 }
 
 impl RowNumbers {
+    /// Of the row of cells at `row`, when the first vertex of the block has number `first`.
     #[inline(always)]
-    fn new(block: &Block, row: usize, ny: usize, first: u32) -> Self {
+    pub(super) fn new(block: &Block, row: usize, ny: usize, first: u32) -> Self {
         let [x, y, z] = &block.crossed;
         let [bx, by, bz] = &block.base;
         let (a, b, c, d) = (row, row + 1, row + ny, row + ny + 1);
@@ -41,7 +41,7 @@ impl RowNumbers {
     /// Numbers of the vertices around cell `x`, by [`EDGE_LANE`]: of the edges at x, then of those
     /// at x + 1. Those of edges that are not crossed mean nothing.
     #[inline(always)]
-    pub(super) fn of_cell(&self, x: u32) -> [u32; 16] {
+    fn of_cell(&self, x: u32) -> [u32; 16] {
         let low = below(x);
         let mut ids = [0; 16];
         for i in 0..8 {
@@ -65,13 +65,14 @@ pub(super) fn write_triangles(numbers: &RowNumbers, x: u32, lanes: &[u8; 16], ou
 
 impl Block {
     #[inline(always)]
-    pub(super) fn emit_triangles(
+    pub(super) fn emit_triangles<N>(
         &self,
         samples: &BlockSamples,
         style: &Style,
         piece: &mut Piece,
         out: &mut BlockOutput,
-        write: impl Fn(&RowNumbers, u32, &[u8; 16], &mut [u32; 16]),
+        numbers_of: impl Fn(&Block, usize, usize, u32) -> N,
+        write: impl Fn(&N, u32, &[u8; 16], &mut [u32; 16]),
     ) {
         let table = &*TABLE;
         let ny = samples.size[1];
@@ -83,7 +84,7 @@ impl Block {
         let mut from = 0;
         for &(row, end) in &self.active {
             let row = row as usize;
-            let numbers = RowNumbers::new(self, row, ny, out.first);
+            let numbers = numbers_of(self, row, ny, out.first);
             for &code in &self.cells[from..end as usize] {
                 let x = code & 255;
                 let mask = (code >> MASK_SHIFT) as usize & 255;
@@ -98,7 +99,7 @@ impl Block {
                         }
                         _ => {
                             let cell = [x as usize, row % ny, row / ny];
-                            let ids = numbers.of_cell(x);
+                            let ids = RowNumbers::new(self, row, ny, out.first).of_cell(x);
                             let had = piece.positions.len();
                             written =
                                 emit_inner(samples, style, cell, number, &ids, piece, written);

@@ -14,6 +14,8 @@ mod interior;
 mod isolines;
 mod label_mask;
 mod labels;
+#[cfg(test)]
+mod measure;
 mod numbering;
 mod parts;
 mod place;

@@ -7,15 +7,16 @@ use crate::sample::Inside;
 
 impl Block {
     /// Finds the crossed edges and active cells. False when there are none. `row_mask` gives the
-    /// mask of the samples of a row that are inside; `list_cells` appends the active cells of a
-    /// row, given the masks of its four rows of points and the mask of its active cells.
+    /// mask of the samples of a row that are inside; `list_cells` writes the active cells of a row,
+    /// given the masks of its four rows of points and the mask of its active cells, and says how many
+    /// they are: it may write more behind them.
     #[inline(always)]
     pub(super) fn scan_with(
         &mut self,
         samples: &BlockSamples,
         style: &Style,
         row_mask: impl Fn(&[f32], f32, Inside) -> u64,
-        list_cells: impl Fn([u64; 4], u64, &mut Vec<u32>),
+        list_cells: impl Fn([u64; 4], u64, &mut [u32]) -> usize,
     ) -> bool {
         let [nx, ny, nz] = samples.size;
         assert!(nx < MAX_POINTS, "a row of a block fits in a mask");
@@ -38,6 +39,7 @@ impl Block {
         self.edge_vertices > 0
     }
 
+    /// Loops over slices that are as plain as can be, for the compiler to make vectors of.
     #[inline(always)]
     fn find_crossed_edges(&mut self, [nx, ny, nz]: [usize; 3]) {
         let rows = ny * nz;
@@ -50,27 +52,36 @@ impl Block {
             base.resize(rows, 0);
         }
         let inside = &self.inside[..rows];
-        let (xs, ys, zs) = (&mut xs[..rows], &mut ys[..rows], &mut zs[..rows]);
-        let (bx, by, bz) = (&mut bx[..rows], &mut by[..rows], &mut bz[..rows]);
         let cells = below(nx as u32 - 1);
+        for (x, m) in xs.iter_mut().zip(inside) {
+            *x = (m ^ m >> 1) & cells;
+        }
+        for ((y, m), next) in ys.iter_mut().zip(inside).zip(&inside[1..]) {
+            *y = m ^ next;
+        }
+        // What follows the last row or slice is taken as equal.
+        ys.iter_mut().skip(ny - 1).step_by(ny).for_each(|y| *y = 0);
+        for ((z, m), next) in zs.iter_mut().zip(inside).zip(&inside[ny..]) {
+            *z = m ^ next;
+        }
+        zs[rows - ny..].fill(0);
+        // Vertices per row and axis, summed up along the axes, then along the rows.
+        let masks = xs.iter().zip(&*ys).zip(&*zs);
+        let sums = bx.iter_mut().zip(&mut *by).zip(&mut *bz);
+        for (((x, y), z), ((bx, by), bz)) in masks.zip(sums) {
+            *bx = x.count_ones();
+            *by = *bx + y.count_ones();
+            *bz = *by + z.count_ones();
+        }
         let mut count = 0;
-        for z in 0..nz {
-            let last_slice = z + 1 == nz;
-            for y in 0..ny {
-                let r = y + ny * z;
-                let m = inside[r];
-                // What follows the last row or slice is taken as equal.
-                let next_row = if y + 1 < ny { inside[r + 1] } else { m };
-                let next_slice = if last_slice { m } else { inside[r + ny] };
-                let edges = [(m ^ m >> 1) & cells, m ^ next_row, m ^ next_slice];
-                (xs[r], ys[r], zs[r]) = (edges[0], edges[1], edges[2]);
-                bx[r] = count;
-                count += edges[0].count_ones();
-                by[r] = count;
-                count += edges[1].count_ones();
-                bz[r] = count;
-                count += edges[2].count_ones();
-            }
+        for bz in bz.iter_mut() {
+            count += std::mem::replace(bz, count);
+        }
+        for ((bx, by), bz) in bx.iter_mut().zip(&mut *by).zip(&mut *bz) {
+            let start = *bz;
+            *bz += *by;
+            *by = *bx + start;
+            *bx = start;
         }
         self.edge_vertices = count as usize;
     }
@@ -80,30 +91,42 @@ impl Block {
         &mut self,
         samples: &BlockSamples,
         style: &Style,
-        list_cells: impl Fn([u64; 4], u64, &mut Vec<u32>),
+        list_cells: impl Fn([u64; 4], u64, &mut [u32]) -> usize,
     ) {
         let [nx, ny, nz] = samples.size;
         let inside = &self.inside[..ny * nz];
         let all = below(nx as u32 - 1);
+        let rows = ny * (nz - 1) - 1;
+        let active = &mut self.active_masks;
+        active.resize(active.len().max(rows), 0);
+        let active = &mut active[..rows];
+        let corners =
+            (inside.iter().zip(&inside[1..])).zip(inside[ny..].iter().zip(&inside[ny + 1..]));
+        for (cells, ((a, b), (c, d))) in active.iter_mut().zip(corners) {
+            let any = a | b | c | d;
+            let every = a & b & c & d;
+            *cells = (any | any >> 1) & !(every & every >> 1) & all;
+        }
+        // Between the last row of a slice and the first of the next lie no cells.
+        (active.iter_mut().skip(ny - 1).step_by(ny)).for_each(|cells| *cells = 0);
+        let most: usize = active.iter().map(|cells| cells.count_ones() as usize).sum();
+        let slack = most + MAX_POINTS;
+        self.cells.resize(self.cells.len().max(slack), 0);
         self.active.clear();
-        self.cells.clear();
-        for z in 0..nz - 1 {
-            for row in ny * z..ny * z + ny - 1 {
+        let mut end = 0;
+        for (row, &cells) in active.iter().enumerate() {
+            if cells != 0 {
                 let m = [
                     inside[row],
                     inside[row + 1],
                     inside[row + ny],
                     inside[row + ny + 1],
                 ];
-                let any = m[0] | m[1] | m[2] | m[3];
-                let every = m[0] & m[1] & m[2] & m[3];
-                let cells = (any | any >> 1) & !(every & every >> 1) & all;
-                if cells != 0 {
-                    list_cells(m, cells, &mut self.cells);
-                    self.active.push((row as u32, self.cells.len() as u32));
-                }
+                end += list_cells(m, cells, &mut self.cells[end..]);
+                self.active.push((row as u32, end as u32));
             }
         }
+        self.cells.truncate(end);
         self.decide_cells(samples, style);
     }
 
@@ -152,14 +175,16 @@ pub(super) fn portable_mask(row: &[f32], iso: f32, inside: Inside) -> u64 {
     })
 }
 
-/// Appends the active cells of a row.
+/// Writes the active cells of a row.
 #[inline(always)]
-pub(super) fn list_cells(rows: [u64; 4], mut cells: u64, out: &mut Vec<u32>) {
-    while cells != 0 {
+pub(super) fn list_cells(rows: [u64; 4], mut cells: u64, out: &mut [u32]) -> usize {
+    let count = cells.count_ones() as usize;
+    for out in &mut out[..count] {
         let x = cells.trailing_zeros();
         cells &= cells - 1;
         let pair = |i: usize| (rows[i] >> x) as u32 & 3;
         let mask = pair(0) | pair(1) << 2 | pair(2) << 4 | pair(3) << 6;
-        out.push(x | mask << MASK_SHIFT);
+        *out = x | mask << MASK_SHIFT;
     }
+    count
 }

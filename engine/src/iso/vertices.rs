@@ -1,6 +1,6 @@
 //! The vertices on the crossed edges of a block.
 
-use super::block::{Block, BlockSamples, Style};
+use super::block::{Block, BlockSamples, Emit, Style, each_row};
 use crate::mesh::{EdgeKey, Piece};
 
 /// Places in the code of an edge: 6 bits each for x, y and z of its lower point, then its axis.
@@ -83,49 +83,55 @@ pub(super) fn place(placed: &Placed<'_>, codes: &[u32], out: &mut [[f32; 3]]) {
     }
 }
 
-/// Appends the codes of the edges in `mask`, given the code of the one at x = 0.
+/// Writes the codes of the edges in `mask`, given the code of the one at x = 0, and says how many
+/// they are; it may write more behind them, [`LIST_SLACK`] in all.
 #[inline(always)]
-pub(super) fn list_edges(first: u32, mut mask: u64, out: &mut Vec<u32>) {
-    while mask != 0 {
-        out.push(first + mask.trailing_zeros());
+pub(super) fn list_edges(first: u32, mut mask: u64, out: &mut [u32]) -> usize {
+    let count = mask.count_ones() as usize;
+    for out in &mut out[..count] {
+        *out = first + mask.trailing_zeros();
         mask &= mask - 1;
     }
+    count
 }
+
+/// Room that lists need behind their end: they are written in whole vectors.
+const LIST_SLACK: usize = 64;
 
 impl Block {
     /// Appends the vertices of the block in the order of its rows, then axes, then x.
     #[inline(always)]
-    pub(super) fn emit_vertices(
+    pub(super) fn emit_vertices<N, T>(
         &mut self,
         samples: &BlockSamples,
         style: &Style,
         borrowed: [bool; 3],
         piece: &mut Piece,
-        list_edges: impl Fn(u32, u64, &mut Vec<u32>),
-        place: impl Fn(&Placed<'_>, &[u32], &mut [[f32; 3]]),
+        by: &Emit<
+            impl Fn([&[u64]; 3], u64, &mut [u8]),
+            impl Fn(u32, u64, &mut [u32]) -> usize,
+            impl Fn(&Placed<'_>, &[u32], &mut [[f32; 3]]),
+            impl Fn(&[u32], u32, [bool; 3], &mut [u32]) -> usize,
+            N,
+            T,
+        >,
     ) {
-        let [_, ny, nz] = samples.size;
         let mut codes = std::mem::take(&mut self.edges);
-        codes.clear();
-        for z in 0..nz {
-            for y in 0..ny {
-                let r = y + ny * z;
-                let rows = [self.crossed[0][r], self.crossed[1][r], self.crossed[2][r]];
-                if rows[0] | rows[1] | rows[2] == 0 {
-                    continue;
-                }
-                let first = (y as u32) << Y_SHIFT | (z as u32) << Z_SHIFT;
-                // A row that is crossed is mostly crossed along every axis: not asked, to save the branch.
-                for (axis, row) in rows.into_iter().enumerate() {
-                    list_edges(first | (axis as u32) << AXIS_SHIFT, row, &mut codes);
-                }
-            }
-        }
+        codes.resize(codes.len().max(self.edge_vertices + LIST_SLACK), 0);
+        let count = self.list_all(samples, &mut codes, by);
+        codes.truncate(count);
         let first = piece.positions.len();
         piece.positions.resize(first + codes.len(), [0.0; 3]);
         let placed = Placed { samples, style };
-        place(&placed, &codes, &mut piece.positions[first..]);
-        list_own(&codes, first as u32, borrowed, &mut piece.own);
+        (by.place)(&placed, &codes, &mut piece.positions[first..]);
+        if borrowed == [false; 3] {
+            piece.own.extend(first as u32..(first + count) as u32);
+        } else {
+            let length = piece.own.len();
+            piece.own.resize(length + count, 0);
+            let own = (by.list_own)(&codes, first as u32, borrowed, &mut piece.own[length..]);
+            piece.own.truncate(length + own);
+        }
         if style.normals {
             piece.normals.extend(codes.iter().map(|&code| {
                 let (edge, t, low) = placed.crossing(code);
@@ -145,26 +151,51 @@ impl Block {
         }
         self.edges = codes;
     }
+
+    /// Lists the codes of all crossed edges, and counts them.
+    #[inline(always)]
+    fn list_all<P, O, N, T>(
+        &mut self,
+        samples: &BlockSamples,
+        codes: &mut [u32],
+        by: &Emit<
+            impl Fn([&[u64]; 3], u64, &mut [u8]),
+            impl Fn(u32, u64, &mut [u32]) -> usize,
+            P,
+            O,
+            N,
+            T,
+        >,
+    ) -> usize {
+        let [_, ny, nz] = samples.size;
+        let bytes = (ny * nz).div_ceil(8);
+        self.rows.resize(self.rows.len().max(bytes), 0);
+        let [xs, ys, zs] = &self.crossed;
+        (by.rows_with)([xs, ys, zs], u64::MAX, &mut self.rows);
+        let mut end = 0;
+        each_row(&self.rows[..bytes], |r| {
+            let first = ((r % ny) as u32) << Y_SHIFT | ((r / ny) as u32) << Z_SHIFT;
+            // A row that is crossed is mostly crossed along every axis: not asked, to save the branch.
+            for (axis, row) in [xs[r], ys[r], zs[r]].into_iter().enumerate() {
+                let first = first | (axis as u32) << AXIS_SHIFT;
+                end += (by.list_edges)(first, row, &mut codes[end..]);
+            }
+        });
+        end
+    }
 }
 
-/// Appends the numbers, from `first` on, of those vertices that are not in a borrowed face: those
-/// have a number already.
+/// Writes the numbers, from `first` on, of those vertices that are not in a borrowed face, since
+/// those have a number already, and says how many they are; `out` has room for all.
 #[inline(always)]
-fn list_own(codes: &[u32], first: u32, borrowed: [bool; 3], own: &mut Vec<u32>) {
-    let last = first + codes.len() as u32;
-    if borrowed == [false; 3] {
-        own.extend(first..last);
-        return;
-    }
-    let length = own.len();
-    own.resize(length + codes.len(), 0);
-    let mut end = length;
-    for (local, &code) in (first..last).zip(codes) {
+pub(super) fn list_own(codes: &[u32], first: u32, borrowed: [bool; 3], out: &mut [u32]) -> usize {
+    let mut end = 0;
+    for (local, &code) in (first..).zip(codes) {
         let edge = Edge::of(code);
         let theirs = (0..3).any(|a| borrowed[a] && edge.point[a] == 0 && edge.axis != a);
         // Written in any case, kept where it is ours: no branch.
-        own[end] = local;
+        out[end] = local;
         end += usize::from(!theirs);
     }
-    own.truncate(end);
+    end
 }
