@@ -8,6 +8,7 @@
 //! Samples outside the region that is meshed are NaN, and NaN is outside: that closes the solid
 //! with a cap, and nothing else in here knows of borders.
 
+use super::cells::RowNumbers;
 use super::cube::{OTHER, corner};
 use super::dispatch::Level;
 use super::place::Placement;
@@ -45,14 +46,18 @@ pub(super) struct Block {
     pub(super) base: [Vec<u32>; 3],
     /// Active cells, a mask per row of points.
     pub(super) active_masks: Vec<u64>,
-    /// Room for a list of rows, a bit each.
-    pub(super) rows: Vec<u8>,
+    /// Room for a list of rows, and for a list of vertices.
+    pub(super) rows: Vec<u32>,
+    pub(super) on_face: Vec<u32>,
     /// Rows of cells that the surface crosses: row of points, and the end of its cells in `cells`.
     pub(super) active: Vec<(u32, u32)>,
-    /// The active cells: x, and the mask of its inside corners shifted by [`MASK_SHIFT`].
+    /// The active cells: x, the mask of its inside corners shifted by [`MASK_SHIFT`], and its place
+    /// in `active` shifted by [`ROW_SHIFT`].
     pub(super) cells: Vec<u32>,
     /// Numbers in the table of the active cells whose mask does not tell the case, in order.
     pub(super) decided: Vec<u16>,
+    /// Room for what numbers the vertices of the rows in `active`.
+    pub(super) numbers: Vec<RowNumbers>,
     /// Room for the list of vertices of a block while it is emitted.
     pub(super) edges: Vec<u32>,
     /// Vertices on lattice edges.
@@ -94,17 +99,17 @@ pub(super) struct Style {
 }
 
 /// The parts of [`Block::emit_with`] that differ between processors.
-pub(super) struct Emit<R, E, P, O, N, T> {
+pub(super) struct Emit<R, U, E, P, O, T> {
     /// See [`rows_with`].
     pub(super) rows_with: R,
+    /// See [`put_run`].
+    pub(super) put_run: U,
     /// See [`list_edges`](super::vertices::list_edges).
     pub(super) list_edges: E,
     /// See [`place`](super::vertices::place).
     pub(super) place: P,
     /// See [`list_own`](super::vertices::list_own).
     pub(super) list_own: O,
-    /// See [`RowNumbers::new`](super::cells::RowNumbers::new).
-    pub(super) numbers: N,
     /// See [`write_triangles`](super::cells::write_triangles).
     pub(super) triangles: T,
 }
@@ -126,6 +131,11 @@ impl BlockOutput {
 
 /// Place of the corner mask in an entry of [`Block::cells`].
 pub(super) const MASK_SHIFT: u32 = 8;
+/// Place of the row.
+pub(super) const ROW_SHIFT: u32 = 16;
+
+/// Room that lists need behind their end: they are written in whole vectors.
+pub(super) const LIST_SLACK: usize = 64;
 
 /// Triangles more than needed that a piece must have room for: they are written 16 numbers at a time.
 pub(super) const TRIANGLES_SLACK: usize = 6;
@@ -162,7 +172,7 @@ impl Block {
 
     /// [`emit`](Self::emit), in parts that are written anew for newer processors.
     #[inline(always)]
-    pub(super) fn emit_with<N>(
+    pub(super) fn emit_with(
         &mut self,
         samples: &BlockSamples,
         style: &Style,
@@ -170,28 +180,28 @@ impl Block {
         piece: &mut Piece,
         out: &mut BlockOutput,
         by: Emit<
-            impl Fn([&[u64]; 3], u64, &mut [u8]),
+            impl Fn([&[u64]; 3], u64, &mut [u32]) -> usize,
+            impl Fn(u32, u32, &mut [u32]),
             impl Fn(u32, u64, &mut [u32]) -> usize,
             impl Fn(&Placed<'_>, &[u32], &mut [[f32; 3]]),
             impl Fn(&[u32], u32, [bool; 3], &mut [u32]) -> usize,
-            impl Fn(&Block, usize, usize, u32) -> N,
-            impl Fn(&N, u32, &[u8; 16], &mut [u32; 16]),
+            impl Fn(&RowNumbers, u32, &[u8; 16], &mut [u32; 16]),
         >,
     ) {
         out.first = piece.positions.len() as u32;
         self.emit_vertices(samples, style, borrowed, piece, &by);
-        self.emit_triangles(samples, style, piece, out, &by.numbers, &by.triangles);
+        self.emit_triangles(samples, style, piece, out, &by);
         out.count = piece.positions.len() as u32 - out.first;
         out.active_cells = self.cells.len() as u64;
+        let size = samples.size;
         for axis in 0..3 {
-            let size = samples.size;
+            let (low, high) = (&mut out.low[axis], &mut out.high[axis]);
+            low.clear();
+            high.clear();
             if borrowed[axis] {
-                self.face(size, axis, 0, out.first, &mut out.low[axis], &by.rows_with);
-            } else {
-                out.low[axis].clear();
+                low.extend_from_slice(self.face(size, axis, 0, out.first, &by));
             }
-            let (last, high) = (size[axis] - 1, &mut out.high[axis]);
-            self.face(size, axis, last, out.first, high, &by.rows_with);
+            high.extend_from_slice(self.face(size, axis, size[axis] - 1, out.first, &by));
         }
     }
 
@@ -212,70 +222,87 @@ impl Block {
 
     /// Vertices on the plane `at` of `axis`, in an order that both blocks of the plane agree on.
     #[inline(always)]
-    fn face(
+    fn face<E, P, O, T>(
         &mut self,
-        size: [usize; 3],
+        [_, ny, nz]: [usize; 3],
         axis: usize,
         at: usize,
         first: u32,
-        out: &mut Vec<u32>,
-        rows_with: impl Fn([&[u64]; 3], u64, &mut [u8]),
-    ) {
-        out.clear();
-        let [_, ny, nz] = size;
+        by: &Emit<
+            impl Fn([&[u64]; 3], u64, &mut [u32]) -> usize,
+            impl Fn(u32, u32, &mut [u32]),
+            E,
+            P,
+            O,
+            T,
+        >,
+    ) -> &[u32] {
+        let mut out = std::mem::take(&mut self.on_face);
+        // Not more than the points of a plane, twice.
+        out.resize(out.len().max(2 * MAX_POINTS * ny.max(nz) + LIST_SLACK), 0);
+        let mut end = 0;
         if axis == 0 {
             let mut rows = std::mem::take(&mut self.rows);
-            rows.resize(rows.len().max((ny * nz).div_ceil(8)), 0);
+            rows.resize(rows.len().max(ny * nz + LIST_SLACK), 0);
             let [_, y, z] = &self.crossed;
-            rows_with([y, z, z], 1 << at, &mut rows);
-            each_row(&rows[..(ny * nz).div_ceil(8)], |row| {
+            let count = (by.rows_with)([y, z, z], 1 << at, &mut rows);
+            for &row in &rows[..count] {
+                let row = row as usize;
                 for along in OTHER[0] {
-                    if self.crossed[along][row] >> at & 1 == 1 {
-                        out.push(first + self.vertex(along, at as u32, row));
-                    }
+                    // Written in any case, kept where it is crossed.
+                    out[end] = first + self.vertex(along, at as u32, row);
+                    end += (self.crossed[along][row] >> at & 1) as usize;
                 }
-            });
+            }
             self.rows = rows;
-            return;
-        }
-        let (ys, zs) = match axis {
-            1 => (at..at + 1, 0..nz),
-            _ => (0..ny, at..at + 1),
-        };
-        for z in zs {
-            for y in ys.clone() {
-                let row = y + ny * z;
-                // All crossed edges of the row: their numbers follow each other.
+        } else {
+            // All crossed edges of a row: their numbers follow each other.
+            let (start, step, count) = match axis {
+                1 => (at, ny, nz),
+                _ => (at * ny, 1, ny),
+            };
+            for row in (0..count).map(|i| start + i * step) {
                 for along in OTHER[axis] {
-                    let start = first + self.base[along][row];
-                    out.extend(start..start + self.crossed[along][row].count_ones());
+                    let count = self.crossed[along][row].count_ones();
+                    (by.put_run)(first + self.base[along][row], count, &mut out[end..]);
+                    end += count as usize;
                 }
             }
         }
+        self.on_face = out;
+        &self.on_face[..end]
     }
 }
 
-/// Which rows have one of `bits` in one of their three masks: a bit per row, from the lowest.
+/// Lists the rows that have one of `bits` in one of their three masks, and counts them.
 #[inline(always)]
-pub(super) fn rows_with([a, b, c]: [&[u64]; 3], bits: u64, out: &mut [u8]) {
-    let masks = a.chunks(8).zip(b.chunks(8)).zip(c.chunks(8));
-    for (((a, b), c), out) in masks.zip(out) {
-        let rows = a.iter().zip(b).zip(c).enumerate();
-        *out = rows.fold(0, |found, (i, ((a, b), c))| {
-            found | u8::from((a | b | c) & bits != 0) << i
-        });
+pub(super) fn rows_with([a, b, c]: [&[u64]; 3], bits: u64, out: &mut [u32]) -> usize {
+    let mut end = 0;
+    for (row, ((a, b), c)) in (0..).zip(a.iter().zip(b).zip(c)) {
+        // Written in any case: no branch.
+        out[end] = row;
+        end += usize::from((a | b | c) & bits != 0);
+    }
+    end
+}
+
+/// Writes `count` numbers from `start` on, and may write more behind them, [`LIST_SLACK`] in all.
+#[inline(always)]
+pub(super) fn put_run(start: u32, count: u32, out: &mut [u32]) {
+    for (out, number) in out.iter_mut().zip(start..start + count) {
+        *out = number;
     }
 }
 
-/// Calls `f` for every row of a list of bits.
+/// Appends `count` zeros, by copying, which for elements of 12 bytes is faster than setting.
 #[inline(always)]
-pub(super) fn each_row(bits: &[u8], mut f: impl FnMut(usize)) {
-    for (i, &byte) in bits.iter().enumerate() {
-        let mut rest = byte;
-        while rest != 0 {
-            f(8 * i + rest.trailing_zeros() as usize);
-            rest &= rest - 1;
-        }
+pub(super) fn push_zeros<T: Copy + Default>(list: &mut Vec<[T; 3]>, count: usize) {
+    let zeros = [[T::default(); 3]; 128];
+    let mut left = count;
+    while left > 0 {
+        let some = left.min(zeros.len());
+        list.extend_from_slice(&zeros[..some]);
+        left -= some;
     }
 }
 

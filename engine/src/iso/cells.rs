@@ -2,7 +2,8 @@
 
 use super::ambiguity::offsets;
 use super::block::{
-    Block, BlockOutput, BlockSamples, MASK_SHIFT, Style, TRIANGLES_SLACK, below, corner_values,
+    Block, BlockOutput, BlockSamples, Emit, MASK_SHIFT, ROW_SHIFT, Style, TRIANGLES_SLACK, below,
+    corner_values, push_zeros,
 };
 use super::inner::Cell;
 use super::table::{EDGE_LANE, TABLE};
@@ -11,20 +12,26 @@ use crate::mesh::{EdgeKey, Piece};
 /// What numbers the vertices around a row of cells: crossed edges and first number, of the four
 /// rows of x edges (y, z), (y+1, z), (y, z+1), (y+1, z+1), of the rows of y edges at z and z + 1, and
 /// of the rows of z edges at y and y + 1.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(32))]
 pub(super) struct RowNumbers {
-    crossed: [u64; 8],
-    base: [u32; 8],
+    /// The masks' low words: they hold the edges at the cells of rows of up to 32 cells.
+    pub(super) low: [u32; 8],
+    pub(super) base: [u32; 8],
+    /// The masks' high words, for longer rows.
+    pub(super) high: [u32; 8],
 }
 
 impl RowNumbers {
     /// Of the row of cells at `row`, when the first vertex of the block has number `first`.
     #[inline(always)]
-    pub(super) fn new(block: &Block, row: usize, ny: usize, first: u32) -> Self {
+    fn new(block: &Block, row: usize, ny: usize, first: u32) -> Self {
         let [x, y, z] = &block.crossed;
         let [bx, by, bz] = &block.base;
         let (a, b, c, d) = (row, row + 1, row + ny, row + ny + 1);
+        let crossed = [x[a], x[b], x[c], x[d], y[a], y[c], z[a], z[b]];
         Self {
-            crossed: [x[a], x[b], x[c], x[d], y[a], y[c], z[a], z[b]],
+            low: crossed.map(|mask| mask as u32),
             base: [
                 first + bx[a],
                 first + bx[b],
@@ -35,6 +42,7 @@ impl RowNumbers {
                 first + bz[a],
                 first + bz[b],
             ],
+            high: crossed.map(|mask| (mask >> 32) as u32),
         }
     }
 
@@ -45,10 +53,11 @@ impl RowNumbers {
         let low = below(x);
         let mut ids = [0; 16];
         for i in 0..8 {
-            let rank = self.base[i] + (self.crossed[i] & low).count_ones();
+            let crossed = u64::from(self.low[i]) | u64::from(self.high[i]) << 32;
+            let rank = self.base[i] + (crossed & low).count_ones();
             ids[i] = rank;
             // The edge at x + 1 follows the one at x where that is crossed.
-            ids[8 + i] = rank + (self.crossed[i] >> x & 1) as u32;
+            ids[8 + i] = rank + (crossed >> x & 1) as u32;
         }
         ids
     }
@@ -64,60 +73,59 @@ pub(super) fn write_triangles(numbers: &RowNumbers, x: u32, lanes: &[u8; 16], ou
 }
 
 impl Block {
+    /// One loop over all cells: with a loop over the cells of each row inside of one over the rows, its
+    /// end would be mispredicted in nearly every row.
     #[inline(always)]
-    pub(super) fn emit_triangles<N>(
-        &self,
+    pub(super) fn emit_triangles<R, U, E, P, O>(
+        &mut self,
         samples: &BlockSamples,
         style: &Style,
         piece: &mut Piece,
         out: &mut BlockOutput,
-        numbers_of: impl Fn(&Block, usize, usize, u32) -> N,
-        write: impl Fn(&N, u32, &[u8; 16], &mut [u32; 16]),
+        by: &Emit<R, U, E, P, O, impl Fn(&RowNumbers, u32, &[u8; 16], &mut [u32; 16])>,
     ) {
         let table = &*TABLE;
         let ny = samples.size[1];
         let before = piece.triangles.len();
-        let room = before + self.triangles_max + TRIANGLES_SLACK;
-        piece.triangles.resize(room, [0; 3]);
+        push_zeros(&mut piece.triangles, self.triangles_max + TRIANGLES_SLACK);
+        let mut numbers = std::mem::take(&mut self.numbers);
+        numbers.clear();
+        let rows = self.active.iter();
+        numbers.extend(rows.map(|&(row, _)| RowNumbers::new(self, row as usize, ny, out.first)));
         let mut written = before;
         let mut decided = self.decided.iter();
-        let mut from = 0;
-        for &(row, end) in &self.active {
-            let row = row as usize;
-            let numbers = numbers_of(self, row, ny, out.first);
-            for &code in &self.cells[from..end as usize] {
-                let x = code & 255;
-                let mask = (code >> MASK_SHIFT) as usize & 255;
-                let (mut lanes, mut count) =
-                    (&table.plain_lanes[mask], table.plain_triangles[mask]);
-                if table.undecided[mask] != 0 {
-                    out.ambiguous_faces += u64::from(table.ambiguous[mask].count_ones());
-                    let number = *decided.next().expect("scanned");
-                    match table.case(number) {
-                        Ok(entry) if entry.centre().is_empty() && entry.triangles().len() <= 5 => {
-                            (lanes, count) = (entry.lanes(), entry.triangles().len() as u8);
-                        }
-                        _ => {
-                            let cell = [x as usize, row % ny, row / ny];
-                            let ids = RowNumbers::new(self, row, ny, out.first).of_cell(x);
-                            let had = piece.positions.len();
-                            written =
-                                emit_inner(samples, style, cell, number, &ids, piece, written);
-                            out.interior_vertices += (piece.positions.len() - had) as u64;
-                            continue;
-                        }
+        for &code in &self.cells {
+            let x = code & 255;
+            let mask = (code >> MASK_SHIFT) as usize & 255;
+            let numbers = &numbers[(code >> ROW_SHIFT) as usize];
+            let (mut lanes, mut count) = (&table.plain_lanes[mask], table.plain_triangles[mask]);
+            if table.undecided[mask] != 0 {
+                out.ambiguous_faces += u64::from(table.ambiguous[mask].count_ones());
+                let number = *decided.next().expect("scanned");
+                match table.case(number) {
+                    Ok(entry) if entry.centre().is_empty() && entry.triangles().len() <= 5 => {
+                        (lanes, count) = (entry.lanes(), entry.triangles().len() as u8);
+                    }
+                    _ => {
+                        let row = self.active[(code >> ROW_SHIFT) as usize].0 as usize;
+                        let cell = [x as usize, row % ny, row / ny];
+                        let ids = numbers.of_cell(x);
+                        let had = piece.positions.len();
+                        written = emit_inner(samples, style, cell, number, &ids, piece, written);
+                        out.interior_vertices += (piece.positions.len() - had) as u64;
+                        continue;
                     }
                 }
-                let corners = piece.triangles[written..].as_flattened_mut();
-                let corners = corners
-                    .first_chunk_mut()
-                    .expect("room for a cell and slack");
-                write(&numbers, x, lanes, corners);
-                written += usize::from(count);
             }
-            from = end as usize;
+            let corners = piece.triangles[written..].as_flattened_mut();
+            let corners = corners
+                .first_chunk_mut()
+                .expect("room for a cell and slack");
+            (by.triangles)(numbers, x, lanes, corners);
+            written += usize::from(count);
         }
         piece.triangles.truncate(written);
+        self.numbers = numbers;
         if style.placement.mirrored {
             piece.triangles[before..]
                 .iter_mut()

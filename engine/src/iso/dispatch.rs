@@ -9,7 +9,7 @@
     reason = "calls into code compiled for instructions that were found present"
 )]
 
-use super::block::rows_with;
+use super::block::{put_run, rows_with};
 use super::block::{Block, BlockOutput, BlockSamples, Emit, Style};
 use super::cells::{RowNumbers, write_triangles};
 use super::scan::{list_cells, portable_mask};
@@ -21,7 +21,9 @@ impl Level {
     /// See [`Block::scan_with`].
     pub(super) fn scan(self, block: &mut Block, samples: &BlockSamples, style: &Style) -> bool {
         match self {
-            Level::Portable => block.scan_with(samples, style, portable_mask, list_cells),
+            Level::Portable => {
+                block.scan_with(samples, style, portable_mask, rows_with, list_cells)
+            }
             // SAFETY: a level exists only where `available` found its instructions.
             #[cfg(target_arch = "x86_64")]
             Level::Avx2 => unsafe { x86::scan_avx2(block, samples, style) },
@@ -60,10 +62,10 @@ impl Level {
                 out,
                 Emit {
                     rows_with,
+                    put_run,
                     list_edges,
                     place,
                     list_own,
-                    numbers: RowNumbers::new,
                     triangles: write_triangles,
                 },
             ),

@@ -1,6 +1,8 @@
 //! From samples to masks: what is inside, which edges are crossed, which cells are active and how.
 
-use super::block::{Block, BlockSamples, MASK_SHIFT, MAX_POINTS, Style, below, corner_values};
+use super::block::{
+    Block, BlockSamples, LIST_SLACK, MASK_SHIFT, MAX_POINTS, ROW_SHIFT, Style, below, corner_values,
+};
 use super::interior::decide;
 use super::table::TABLE;
 use crate::sample::Inside;
@@ -8,15 +10,16 @@ use crate::sample::Inside;
 impl Block {
     /// Finds the crossed edges and active cells. False when there are none. `row_mask` gives the
     /// mask of the samples of a row that are inside; `list_cells` writes the active cells of a row,
-    /// given the masks of its four rows of points and the mask of its active cells, and says how many
-    /// they are: it may write more behind them.
+    /// given the masks of its four rows of points, the mask of its active cells and the place of the
+    /// row in their codes, and says how many they are: it may write more behind them.
     #[inline(always)]
     pub(super) fn scan_with(
         &mut self,
         samples: &BlockSamples,
         style: &Style,
         row_mask: impl Fn(&[f32], f32, Inside) -> u64,
-        list_cells: impl Fn([u64; 4], u64, &mut [u32]) -> usize,
+        rows_with: impl Fn([&[u64]; 3], u64, &mut [u32]) -> usize,
+        list_cells: impl Fn([u64; 4], u64, u32, &mut [u32]) -> usize,
     ) -> bool {
         let [nx, ny, nz] = samples.size;
         assert!(nx < MAX_POINTS, "a row of a block fits in a mask");
@@ -35,7 +38,7 @@ impl Block {
             return false;
         }
         self.find_crossed_edges([nx, ny, nz]);
-        self.find_active_cells(samples, style, list_cells);
+        self.find_active_cells(samples, style, rows_with, list_cells);
         self.edge_vertices > 0
     }
 
@@ -91,7 +94,8 @@ impl Block {
         &mut self,
         samples: &BlockSamples,
         style: &Style,
-        list_cells: impl Fn([u64; 4], u64, &mut [u32]) -> usize,
+        rows_with: impl Fn([&[u64]; 3], u64, &mut [u32]) -> usize,
+        list_cells: impl Fn([u64; 4], u64, u32, &mut [u32]) -> usize,
     ) {
         let [nx, ny, nz] = samples.size;
         let inside = &self.inside[..ny * nz];
@@ -109,22 +113,23 @@ impl Block {
         }
         // Between the last row of a slice and the first of the next lie no cells.
         (active.iter_mut().skip(ny - 1).step_by(ny)).for_each(|cells| *cells = 0);
+        self.rows.resize(self.rows.len().max(rows + LIST_SLACK), 0);
+        let count = rows_with([active, active, active], u64::MAX, &mut self.rows);
         let most: usize = active.iter().map(|cells| cells.count_ones() as usize).sum();
-        let slack = most + MAX_POINTS;
-        self.cells.resize(self.cells.len().max(slack), 0);
+        self.cells
+            .resize(self.cells.len().max(most + LIST_SLACK), 0);
         self.active.clear();
         let mut end = 0;
-        for (row, &cells) in active.iter().enumerate() {
-            if cells != 0 {
-                let m = [
-                    inside[row],
-                    inside[row + 1],
-                    inside[row + ny],
-                    inside[row + ny + 1],
-                ];
-                end += list_cells(m, cells, &mut self.cells[end..]);
-                self.active.push((row as u32, end as u32));
-            }
+        for (i, &r) in (0..).zip(&self.rows[..count]) {
+            let row = r as usize;
+            let m = [
+                inside[row],
+                inside[row + 1],
+                inside[row + ny],
+                inside[row + ny + 1],
+            ];
+            end += list_cells(m, active[row], i << ROW_SHIFT, &mut self.cells[end..]);
+            self.active.push((r, end as u32));
         }
         self.cells.truncate(end);
         self.decide_cells(samples, style);
@@ -136,31 +141,26 @@ impl Block {
         let table = &*TABLE;
         let ny = samples.size[1];
         self.decided.clear();
-        let (mut triangles, mut interior) = (0, 0);
-        let mut from = 0;
-        for &(row, end) in &self.active {
-            let mut undecided = 0;
-            for &code in &self.cells[from..end as usize] {
+        let (mut triangles, mut interior, mut undecided) = (0, 0, 0);
+        for &code in &self.cells {
+            let mask = (code >> MASK_SHIFT) as usize & 255;
+            triangles += usize::from(table.plain_triangles[mask]);
+            undecided |= table.undecided[mask];
+        }
+        if undecided != 0 {
+            for &code in &self.cells {
                 let mask = (code >> MASK_SHIFT) as usize & 255;
-                triangles += usize::from(table.plain_triangles[mask]);
-                undecided |= table.undecided[mask];
-            }
-            if undecided != 0 {
-                let [y, z] = [row as usize % ny, row as usize / ny];
-                for &code in &self.cells[from..end as usize] {
-                    let mask = (code >> MASK_SHIFT) as usize & 255;
-                    if table.undecided[mask] != 0 {
-                        let cell = [(code & 255) as usize, y, z];
-                        let values = corner_values(samples, cell);
-                        let number = decide(&values, mask as u8, style.iso, style.inside);
-                        let (t, v) = table.size(number);
-                        triangles += t;
-                        interior += v;
-                        self.decided.push(number);
-                    }
+                if table.undecided[mask] != 0 {
+                    let row = self.active[(code >> ROW_SHIFT) as usize].0 as usize;
+                    let cell = [(code & 255) as usize, row % ny, row / ny];
+                    let values = corner_values(samples, cell);
+                    let number = decide(&values, mask as u8, style.iso, style.inside);
+                    let (t, v) = table.size(number);
+                    triangles += t;
+                    interior += v;
+                    self.decided.push(number);
                 }
             }
-            from = end as usize;
         }
         self.triangles_max = triangles;
         self.vertices_max = self.edge_vertices + interior;
@@ -177,14 +177,14 @@ pub(super) fn portable_mask(row: &[f32], iso: f32, inside: Inside) -> u64 {
 
 /// Writes the active cells of a row.
 #[inline(always)]
-pub(super) fn list_cells(rows: [u64; 4], mut cells: u64, out: &mut [u32]) -> usize {
+pub(super) fn list_cells(rows: [u64; 4], mut cells: u64, row: u32, out: &mut [u32]) -> usize {
     let count = cells.count_ones() as usize;
     for out in &mut out[..count] {
         let x = cells.trailing_zeros();
         cells &= cells - 1;
         let pair = |i: usize| (rows[i] >> x) as u32 & 3;
         let mask = pair(0) | pair(1) << 2 | pair(2) << 4 | pair(3) << 6;
-        *out = x | mask << MASK_SHIFT;
+        *out = x | mask << MASK_SHIFT | row;
     }
     count
 }

@@ -1,6 +1,6 @@
 //! The vertices on the crossed edges of a block.
 
-use super::block::{Block, BlockSamples, Emit, Style, each_row};
+use super::block::{Block, BlockSamples, Emit, LIST_SLACK, Style, push_zeros};
 use crate::mesh::{EdgeKey, Piece};
 
 /// Places in the code of an edge: 6 bits each for x, y and z of its lower point, then its axis.
@@ -95,24 +95,21 @@ pub(super) fn list_edges(first: u32, mut mask: u64, out: &mut [u32]) -> usize {
     count
 }
 
-/// Room that lists need behind their end: they are written in whole vectors.
-const LIST_SLACK: usize = 64;
-
 impl Block {
     /// Appends the vertices of the block in the order of its rows, then axes, then x.
     #[inline(always)]
-    pub(super) fn emit_vertices<N, T>(
+    pub(super) fn emit_vertices<U, T>(
         &mut self,
         samples: &BlockSamples,
         style: &Style,
         borrowed: [bool; 3],
         piece: &mut Piece,
         by: &Emit<
-            impl Fn([&[u64]; 3], u64, &mut [u8]),
+            impl Fn([&[u64]; 3], u64, &mut [u32]) -> usize,
+            U,
             impl Fn(u32, u64, &mut [u32]) -> usize,
             impl Fn(&Placed<'_>, &[u32], &mut [[f32; 3]]),
             impl Fn(&[u32], u32, [bool; 3], &mut [u32]) -> usize,
-            N,
             T,
         >,
     ) {
@@ -121,7 +118,7 @@ impl Block {
         let count = self.list_all(samples, &mut codes, by);
         codes.truncate(count);
         let first = piece.positions.len();
-        piece.positions.resize(first + codes.len(), [0.0; 3]);
+        push_zeros(&mut piece.positions, count);
         let placed = Placed { samples, style };
         (by.place)(&placed, &codes, &mut piece.positions[first..]);
         if borrowed == [false; 3] {
@@ -154,33 +151,34 @@ impl Block {
 
     /// Lists the codes of all crossed edges, and counts them.
     #[inline(always)]
-    fn list_all<P, O, N, T>(
+    fn list_all<U, P, O, T>(
         &mut self,
         samples: &BlockSamples,
         codes: &mut [u32],
         by: &Emit<
-            impl Fn([&[u64]; 3], u64, &mut [u8]),
+            impl Fn([&[u64]; 3], u64, &mut [u32]) -> usize,
+            U,
             impl Fn(u32, u64, &mut [u32]) -> usize,
             P,
             O,
-            N,
             T,
         >,
     ) -> usize {
         let [_, ny, nz] = samples.size;
-        let bytes = (ny * nz).div_ceil(8);
-        self.rows.resize(self.rows.len().max(bytes), 0);
+        self.rows
+            .resize(self.rows.len().max(ny * nz + LIST_SLACK), 0);
         let [xs, ys, zs] = &self.crossed;
-        (by.rows_with)([xs, ys, zs], u64::MAX, &mut self.rows);
+        let count = (by.rows_with)([xs, ys, zs], u64::MAX, &mut self.rows);
         let mut end = 0;
-        each_row(&self.rows[..bytes], |r| {
+        for &row in &self.rows[..count] {
+            let r = row as usize;
             let first = ((r % ny) as u32) << Y_SHIFT | ((r / ny) as u32) << Z_SHIFT;
             // A row that is crossed is mostly crossed along every axis: not asked, to save the branch.
             for (axis, row) in [xs[r], ys[r], zs[r]].into_iter().enumerate() {
                 let first = first | (axis as u32) << AXIS_SHIFT;
                 end += (by.list_edges)(first, row, &mut codes[end..]);
             }
-        });
+        }
         end
     }
 }

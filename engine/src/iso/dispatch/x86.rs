@@ -17,7 +17,8 @@ pub(super) fn scan_avx2(block: &mut Block, samples: &BlockSamples, style: &Style
         samples,
         style,
         |row, iso, inside| mask_avx2(row, iso, inside),
-        list_cells,
+        |masks, bits, out| rows_with(masks, bits, out),
+        |rows, cells, row, out| list_cells(rows, cells, row, out),
     )
 }
 
@@ -29,7 +30,8 @@ pub(super) fn scan_avx512(block: &mut Block, samples: &BlockSamples, style: &Sty
         samples,
         style,
         |row, iso, inside| mask_avx512(row, iso, inside),
-        |rows, cells, out| list_cells_avx512(rows, cells, out),
+        |masks, bits, out| rows_with_avx512(masks, bits, out),
+        |rows, cells, row, out| list_cells_avx512(rows, cells, row, out),
     )
 }
 
@@ -48,15 +50,20 @@ pub(super) fn emit_avx2(
         borrowed,
         piece,
         out,
+        // Closures, since these are compiled for the instructions of this function.
         Emit {
-            rows_with: |masks: [&[u64]; 3], bits: u64, out: &mut [u8]| {
-                rows_with_avx2(masks, bits, out)
+            rows_with: |masks: [&[u64]; 3], bits: u64, out: &mut [u32]| rows_with(masks, bits, out),
+            put_run: |start: u32, count: u32, out: &mut [u32]| put_run(start, count, out),
+            list_edges: |first: u32, mask: u64, out: &mut [u32]| list_edges(first, mask, out),
+            place: |placed: &Placed<'_>, codes: &[u32], out: &mut [[f32; 3]]| {
+                place(placed, codes, out)
             },
-            list_edges,
-            place,
-            list_own,
-            numbers: RowNumbers::new,
-            triangles: write_triangles,
+            list_own: |codes: &[u32], first: u32, borrowed: [bool; 3], out: &mut [u32]| {
+                list_own(codes, first, borrowed, out)
+            },
+            triangles: |numbers: &RowNumbers, x: u32, lanes: &[u8; 16], out: &mut [u32; 16]| {
+                write_triangles(numbers, x, lanes, out)
+            },
         },
     );
 }
@@ -73,7 +80,7 @@ pub(super) fn emit_avx512(
     out: &mut BlockOutput,
 ) {
     macro_rules! emit {
-        ($numbers:ident, $write:ident) => {
+        ($write:ident) => {
             block.emit_with(
                 samples,
                 style,
@@ -81,8 +88,11 @@ pub(super) fn emit_avx512(
                 piece,
                 out,
                 Emit {
-                    rows_with: |masks: [&[u64]; 3], bits: u64, out: &mut [u8]| {
+                    rows_with: |masks: [&[u64]; 3], bits: u64, out: &mut [u32]| {
                         rows_with_avx512(masks, bits, out)
+                    },
+                    put_run: |start: u32, count: u32, out: &mut [u32]| {
+                        put_run_avx512(start, count, out)
                     },
                     list_edges: |first: u32, mask: u64, out: &mut [u32]| {
                         list_edges_avx512(first, mask, out)
@@ -93,21 +103,21 @@ pub(super) fn emit_avx512(
                     list_own: |codes: &[u32], first: u32, borrowed: [bool; 3], out: &mut [u32]| {
                         list_own_avx512(codes, first, borrowed, out)
                     },
-                    numbers: |block: &Block, row: usize, ny: usize, first: u32| {
-                        $numbers(block, row, ny, first)
-                    },
-                    triangles: |numbers: &_, x: u32, lanes: &[u8; 16], out: &mut [u32; 16]| {
+                    triangles: |numbers: &RowNumbers,
+                                x: u32,
+                                lanes: &[u8; 16],
+                                out: &mut [u32; 16]| {
                         $write(numbers, x, lanes, out)
                     },
                 },
             )
         };
     }
-    // The edges at x and x + 1 of the usual rows, of 32 cells at most, fit in halves of words.
+    // The edges below x and x + 1 of the usual rows, of 32 cells at most, fit in words of 32 bits.
     if samples.size[0] <= 33 {
-        emit!(short_rows_avx512, write_short_avx512)
+        emit!(write_short_avx512)
     } else {
-        emit!(long_rows_avx512, write_long_avx512)
+        emit!(write_long_avx512)
     }
 }
 
@@ -162,46 +172,51 @@ fn iota() -> __m512i {
     _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
 }
 
-/// [`rows_with`](super::rows_with), four rows at a time.
-#[target_feature(enable = "avx2")]
-#[inline]
-fn rows_with_avx2([a, b, c]: [&[u64]; 3], bits: u64, out: &mut [u8]) {
-    let (a, a_rest) = a.as_chunks::<8>();
-    let (b, b_rest) = b.as_chunks::<8>();
-    let (c, c_rest) = c.as_chunks::<8>();
-    let bits_4 = _mm256_set1_epi64x(bits as i64);
-    for (((a, b), c), out) in a.iter().zip(b).zip(c).zip(&mut *out) {
-        let half = |i: usize| {
-            let load = |masks: &[u64; 8]| {
-                // SAFETY: `i` is 0 or 4, and four numbers follow it.
-                unsafe { _mm256_loadu_si256(masks.as_ptr().add(i).cast()) }
-            };
-            let any = _mm256_or_si256(_mm256_or_si256(load(a), load(b)), load(c));
-            let none = _mm256_cmpeq_epi64(_mm256_and_si256(any, bits_4), _mm256_setzero_si256());
-            _mm256_movemask_pd(_mm256_castsi256_pd(none)) as u8
-        };
-        *out = !(half(0) | half(4) << 4);
-    }
-    let done = a.len();
-    super::rows_with([a_rest, b_rest, c_rest], bits, &mut out[done..]);
-}
-
 /// [`rows_with`](super::rows_with), eight rows at a time.
-#[target_feature(enable = "avx512f")]
+#[target_feature(enable = "avx512f,avx512vl,popcnt")]
 #[inline]
-fn rows_with_avx512([a, b, c]: [&[u64]; 3], bits: u64, out: &mut [u8]) {
+fn rows_with_avx512([a, b, c]: [&[u64]; 3], bits: u64, out: &mut [u32]) -> usize {
     let (a, a_rest) = a.as_chunks::<8>();
     let (b, b_rest) = b.as_chunks::<8>();
     let (c, c_rest) = c.as_chunks::<8>();
     let bits_8 = _mm512_set1_epi64(bits as i64);
-    for (((a, b), c), out) in a.iter().zip(b).zip(c).zip(&mut *out) {
+    let mut rows = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+    let mut end = 0;
+    for ((a, b), c) in a.iter().zip(b).zip(c) {
         // SAFETY: eight numbers each.
         let load = |masks: &[u64; 8]| unsafe { _mm512_loadu_si512(masks.as_ptr().cast()) };
         let any = _mm512_or_si512(_mm512_or_si512(load(a), load(b)), load(c));
-        *out = _mm512_test_epi64_mask(any, bits_8);
+        let found = _mm512_test_epi64_mask(any, bits_8);
+        let out: &mut [u32; 8] = out[end..].first_chunk_mut().expect("room for a vector");
+        let packed = _mm256_maskz_compress_epi32(found, rows);
+        // SAFETY: eight numbers.
+        unsafe { _mm256_storeu_si256(out.as_mut_ptr().cast(), packed) };
+        end += found.count_ones() as usize;
+        rows = _mm256_add_epi32(rows, _mm256_set1_epi32(8));
     }
-    let done = a.len();
-    super::rows_with([a_rest, b_rest, c_rest], bits, &mut out[done..]);
+    for (row, ((a, b), c)) in (8 * a.len() as u32..).zip(a_rest.iter().zip(b_rest).zip(c_rest)) {
+        out[end] = row;
+        end += usize::from((a | b | c) & bits != 0);
+    }
+    end
+}
+
+/// [`put_run`](super::put_run), 16 numbers at a time.
+#[target_feature(enable = "avx512f")]
+#[inline]
+fn put_run_avx512(start: u32, count: u32, out: &mut [u32]) {
+    let mut numbers = _mm512_add_epi32(iota(), _mm512_set1_epi32(start as i32));
+    let mut at = 0;
+    loop {
+        let out: &mut [u32; 16] = out[at..].first_chunk_mut().expect("room for a vector");
+        // SAFETY: 16 numbers.
+        unsafe { _mm512_storeu_si512(out.as_mut_ptr().cast(), numbers) };
+        at += 16;
+        if at >= count as usize {
+            return;
+        }
+        numbers = _mm512_add_epi32(numbers, _mm512_set1_epi32(16));
+    }
 }
 
 /// Writes those lanes of `codes` that `lanes` names to the start of `out`, and what happens to stand
@@ -220,7 +235,7 @@ fn put_lanes(codes: __m512i, lanes: u16, out: &mut [u32]) -> usize {
 /// [`list_cells`](super::list_cells), 16 cells at a time.
 #[target_feature(enable = "avx512f,popcnt")]
 #[inline]
-fn list_cells_avx512(rows: [u64; 4], cells: u64, out: &mut [u32]) -> usize {
+fn list_cells_avx512(rows: [u64; 4], cells: u64, row: u32, out: &mut [u32]) -> usize {
     let (x, three) = (iota(), _mm512_set1_epi32(3));
     let (mut first, mut end) = (0, 0);
     while cells >> first != 0 {
@@ -231,7 +246,7 @@ fn list_cells_avx512(rows: [u64; 4], cells: u64, out: &mut [u32]) -> usize {
         let low = _mm512_or_si512(pair(0), _mm512_slli_epi32::<2>(pair(1)));
         let high = _mm512_or_si512(pair(2), _mm512_slli_epi32::<2>(pair(3)));
         let mask = _mm512_or_si512(low, _mm512_slli_epi32::<4>(high));
-        let x = _mm512_add_epi32(x, _mm512_set1_epi32(first));
+        let x = _mm512_add_epi32(x, _mm512_set1_epi32(first | row as i32));
         let codes = _mm512_or_si512(_mm512_slli_epi32::<MASK_SHIFT>(mask), x);
         end += put_lanes(codes, (cells >> first) as u16, &mut out[end..]);
         first += 16;
@@ -303,46 +318,6 @@ fn list_own_avx512(codes: &[u32], first: u32, borrowed: [bool; 3], out: &mut [u3
     end
 }
 
-/// [`RowNumbers`] in registers: crossed edges and first numbers, in its order.
-#[target_feature(enable = "avx512f,avx512vl,avx512dq")]
-#[inline]
-fn long_rows_avx512(block: &Block, row: usize, ny: usize, first: u32) -> (__m512i, __m256i) {
-    let [x, y, z] = &block.crossed;
-    let [bx, by, bz] = &block.base;
-    let (a, b) = (row, row + ny);
-    let masks = |of: &[u64], at: usize| {
-        let two: &[u64; 2] = of[at..].first_chunk().expect("a row above");
-        // SAFETY: two numbers.
-        unsafe { _mm_loadu_si128(two.as_ptr().cast()) }
-    };
-    let numbers = |of: &[u32], at: usize| {
-        let two: &[u32; 2] = of[at..].first_chunk().expect("a row above");
-        // SAFETY: two numbers.
-        unsafe { _mm_loadl_epi64(two.as_ptr().cast()) }
-    };
-    let ys = _mm_set_epi64x(y[b] as i64, y[a] as i64);
-    let yz = _mm256_set_m128i(masks(z, a), ys);
-    let xs = _mm256_set_m128i(masks(x, b), masks(x, a));
-    let crossed = _mm512_inserti64x4::<1>(_mm512_castsi256_si512(xs), yz);
-    let ys = _mm_set_epi64x(0, (u64::from(by[b]) << 32 | u64::from(by[a])) as i64);
-    let yz = _mm_unpacklo_epi64(ys, numbers(bz, a));
-    let xs = _mm_unpacklo_epi64(numbers(bx, a), numbers(bx, b));
-    let base = _mm256_add_epi32(_mm256_set_m128i(yz, xs), _mm256_set1_epi32(first as i32));
-    (crossed, base)
-}
-
-/// The same with both twice, and masks of 32 bits.
-#[target_feature(enable = "avx512f,avx512vl,avx512dq")]
-#[inline]
-fn short_rows_avx512(block: &Block, row: usize, ny: usize, first: u32) -> (__m512i, __m512i) {
-    let (crossed, base) = long_rows_avx512(block, row, ny, first);
-    let crossed = _mm512_cvtepi64_epi32(crossed);
-    (
-        _mm512_broadcast_i32x8(crossed),
-        _mm512_broadcast_i32x8(base),
-    )
-}
-
 /// The bits below x, eight times, and those below x + 1.
 static BELOW: [[u32; 16]; 32] = {
     let mut all = [[0; 16]; 32];
@@ -358,17 +333,15 @@ static BELOW: [[u32; 16]; 32] = {
 /// [`write_triangles`](super::write_triangles): sixteen ranks at one time, one permutation.
 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512vpopcntdq")]
 #[inline]
-fn write_short_avx512(
-    &(crossed, base): &(__m512i, __m512i),
-    x: u32,
-    lanes: &[u8; 16],
-    out: &mut [u32; 16],
-) {
+fn write_short_avx512(numbers: &RowNumbers, x: u32, lanes: &[u8; 16], out: &mut [u32; 16]) {
     // SAFETY: the arrays have the sizes that are read and written.
     unsafe {
         let below = _mm512_loadu_si512(BELOW[x as usize & 31].as_ptr().cast());
-        let rank = _mm512_popcnt_epi32(_mm512_and_si512(crossed, below));
-        let ids = _mm512_add_epi32(base, rank);
+        let crossed = _mm256_load_si256(numbers.low.as_ptr().cast());
+        let base = _mm256_load_si256(numbers.base.as_ptr().cast());
+        let crossed = _mm512_and_si512(_mm512_broadcast_i32x8(crossed), below);
+        let rank = _mm512_popcnt_epi32(crossed);
+        let ids = _mm512_add_epi32(_mm512_broadcast_i32x8(base), rank);
         let lanes = _mm512_cvtepu8_epi32(_mm_loadu_si128(lanes.as_ptr().cast()));
         let corners = _mm512_permutexvar_epi32(lanes, ids);
         _mm512_storeu_si512(out.as_mut_ptr().cast(), corners);
@@ -378,21 +351,20 @@ fn write_short_avx512(
 /// The same for rows of up to 64 points.
 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512vpopcntdq")]
 #[inline]
-fn write_long_avx512(
-    &(crossed, base): &(__m512i, __m256i),
-    x: u32,
-    lanes: &[u8; 16],
-    out: &mut [u32; 16],
-) {
-    let low = _mm512_and_si512(crossed, _mm512_set1_epi64(below(x) as i64));
-    let rank = _mm512_cvtepi64_epi32(_mm512_popcnt_epi64(low));
-    let here = _mm256_add_epi32(base, rank);
-    let bit = _mm512_set1_epi64(1 << x);
-    let is_crossed = _mm512_test_epi64_mask(crossed, bit);
-    let next = _mm256_mask_add_epi32(here, is_crossed, here, _mm256_set1_epi32(1));
-    let ids = _mm512_inserti32x8::<1>(_mm512_castsi256_si512(here), next);
+fn write_long_avx512(numbers: &RowNumbers, x: u32, lanes: &[u8; 16], out: &mut [u32; 16]) {
     // SAFETY: the arrays have the sizes that are read and written.
     unsafe {
+        let low = _mm256_load_si256(numbers.low.as_ptr().cast());
+        let high = _mm256_load_si256(numbers.high.as_ptr().cast());
+        let high = _mm512_slli_epi64::<32>(_mm512_cvtepu32_epi64(high));
+        let crossed = _mm512_or_si512(_mm512_cvtepu32_epi64(low), high);
+        let base = _mm256_load_si256(numbers.base.as_ptr().cast());
+        let before = _mm512_and_si512(crossed, _mm512_set1_epi64(below(x) as i64));
+        let rank = _mm512_cvtepi64_epi32(_mm512_popcnt_epi64(before));
+        let here = _mm256_add_epi32(base, rank);
+        let is_crossed = _mm512_test_epi64_mask(crossed, _mm512_set1_epi64(1 << x));
+        let next = _mm256_mask_add_epi32(here, is_crossed, here, _mm256_set1_epi32(1));
+        let ids = _mm512_inserti32x8::<1>(_mm512_castsi256_si512(here), next);
         let lanes = _mm512_cvtepu8_epi32(_mm_loadu_si128(lanes.as_ptr().cast()));
         let corners = _mm512_permutexvar_epi32(lanes, ids);
         _mm512_storeu_si512(out.as_mut_ptr().cast(), corners);
