@@ -46,6 +46,8 @@ pub(super) struct Block {
     pub(super) base: [Vec<u32>; 3],
     /// Active cells, a mask per row of points.
     pub(super) active_masks: Vec<u64>,
+    /// Place of every row in the codes of its edges, for blocks of the size that is named first.
+    pub(super) row_codes: ([usize; 2], Vec<u32>),
     /// Room for a list of rows, and for a list of vertices.
     pub(super) rows: Vec<u32>,
     pub(super) on_face: Vec<u32>,
@@ -99,7 +101,7 @@ pub(super) struct Style {
 }
 
 /// The parts of [`Block::emit_with`] that differ between processors.
-pub(super) struct Emit<R, U, E, P, O, T> {
+pub(super) struct Emit<R, U, E, P, O, N, T> {
     /// See [`rows_with`].
     pub(super) rows_with: R,
     /// See [`put_run`].
@@ -110,6 +112,8 @@ pub(super) struct Emit<R, U, E, P, O, T> {
     pub(super) place: P,
     /// See [`list_own`](super::vertices::list_own).
     pub(super) list_own: O,
+    /// See [`RowNumbers::new`].
+    pub(super) numbers: N,
     /// See [`write_triangles`](super::cells::write_triangles).
     pub(super) triangles: T,
 }
@@ -185,6 +189,7 @@ impl Block {
             impl Fn(u32, u64, &mut [u32]) -> usize,
             impl Fn(&Placed<'_>, &[u32], &mut [[f32; 3]]),
             impl Fn(&[u32], u32, [bool; 3], &mut [u32]) -> usize,
+            impl Fn(&Block, usize, usize, u32) -> RowNumbers,
             impl Fn(&RowNumbers, u32, &[u8; 16], &mut [u32; 16]),
         >,
     ) {
@@ -222,7 +227,7 @@ impl Block {
 
     /// Vertices on the plane `at` of `axis`, in an order that both blocks of the plane agree on.
     #[inline(always)]
-    fn face<E, P, O, T>(
+    fn face<E, P, O, N, T>(
         &mut self,
         [_, ny, nz]: [usize; 3],
         axis: usize,
@@ -234,6 +239,7 @@ impl Block {
             E,
             P,
             O,
+            N,
             T,
         >,
     ) -> &[u32] {

@@ -25,7 +25,7 @@ pub(super) struct RowNumbers {
 impl RowNumbers {
     /// Of the row of cells at `row`, when the first vertex of the block has number `first`.
     #[inline(always)]
-    fn new(block: &Block, row: usize, ny: usize, first: u32) -> Self {
+    pub(super) fn new(block: &Block, row: usize, ny: usize, first: u32) -> Self {
         let [x, y, z] = &block.crossed;
         let [bx, by, bz] = &block.base;
         let (a, b, c, d) = (row, row + 1, row + ny, row + ny + 1);
@@ -82,16 +82,25 @@ impl Block {
         style: &Style,
         piece: &mut Piece,
         out: &mut BlockOutput,
-        by: &Emit<R, U, E, P, O, impl Fn(&RowNumbers, u32, &[u8; 16], &mut [u32; 16])>,
+        by: &Emit<
+            R,
+            U,
+            E,
+            P,
+            O,
+            impl Fn(&Block, usize, usize, u32) -> RowNumbers,
+            impl Fn(&RowNumbers, u32, &[u8; 16], &mut [u32; 16]),
+        >,
     ) {
         let table = &*TABLE;
         let ny = samples.size[1];
         let before = piece.triangles.len();
         push_zeros(&mut piece.triangles, self.triangles_max + TRIANGLES_SLACK);
         let mut numbers = std::mem::take(&mut self.numbers);
-        numbers.clear();
-        let rows = self.active.iter();
-        numbers.extend(rows.map(|&(row, _)| RowNumbers::new(self, row as usize, ny, out.first)));
+        numbers.resize(numbers.len().max(self.active.len()), RowNumbers::default());
+        for (numbers, &(row, _)) in numbers.iter_mut().zip(&self.active) {
+            *numbers = (by.numbers)(self, row as usize, ny, out.first);
+        }
         let mut written = before;
         let mut decided = self.decided.iter();
         for &code in &self.cells {

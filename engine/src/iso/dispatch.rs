@@ -9,10 +9,10 @@
     reason = "calls into code compiled for instructions that were found present"
 )]
 
-use super::block::{put_run, rows_with};
 use super::block::{Block, BlockOutput, BlockSamples, Emit, Style};
+use super::block::{put_run, rows_with};
 use super::cells::{RowNumbers, write_triangles};
-use super::scan::{list_cells, portable_mask};
+use super::scan::{list_cells, portable_mask, row_masks};
 use super::vertices::{list_edges, list_own, place};
 pub(super) use crate::cpu::Level;
 use crate::mesh::Piece;
@@ -21,9 +21,13 @@ impl Level {
     /// See [`Block::scan_with`].
     pub(super) fn scan(self, block: &mut Block, samples: &BlockSamples, style: &Style) -> bool {
         match self {
-            Level::Portable => {
-                block.scan_with(samples, style, portable_mask, rows_with, list_cells)
-            }
+            Level::Portable => block.scan_with(
+                samples,
+                style,
+                |samples, style, out| row_masks(samples, style, out, portable_mask),
+                rows_with,
+                list_cells,
+            ),
             // SAFETY: a level exists only where `available` found its instructions.
             #[cfg(target_arch = "x86_64")]
             Level::Avx2 => unsafe { x86::scan_avx2(block, samples, style) },
@@ -66,6 +70,7 @@ impl Level {
                     list_edges,
                     place,
                     list_own,
+                    numbers: RowNumbers::new,
                     triangles: write_triangles,
                 },
             ),

@@ -34,6 +34,8 @@ pub(super) struct Placement {
     min_t: f32,
     /// Whether vertices inside cells are placed in coordinates of their cell.
     in_cells: bool,
+    /// See [`is_diagonal`](Self::is_diagonal).
+    diagonal: bool,
     /// Whether triangles must be turned.
     pub(super) mirrored: bool,
 }
@@ -69,6 +71,7 @@ impl Placement {
             gradient_rows: map.gradient_rows(),
             min_t: MIN_T.max(grain as f32),
             in_cells: false,
+            diagonal: (0..9).all(|i| i % 4 == 0 || map.rows[i / 3][i % 3].to_bits() == 0),
             mirrored: map.is_left_handed(),
         })
     }
@@ -83,6 +86,13 @@ impl Placement {
     #[inline(always)]
     pub(super) fn rows(&self) -> &[[f64; 4]; 3] {
         &self.map.rows
+    }
+
+    /// Whether every axis of the lattice goes along its axis of the world: the other terms are positive
+    /// zeros.
+    #[inline(always)]
+    pub(super) fn is_diagonal(&self) -> bool {
+        self.diagonal
     }
 
     /// World position of the lattice point (0, j, k).

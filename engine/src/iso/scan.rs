@@ -8,8 +8,9 @@ use super::table::TABLE;
 use crate::sample::Inside;
 
 impl Block {
-    /// Finds the crossed edges and active cells. False when there are none. `row_mask` gives the
-    /// mask of the samples of a row that are inside; `list_cells` writes the active cells of a row,
+    /// Finds the crossed edges and active cells. False when there are none. `row_masks` gives the
+    /// masks of the samples of all rows that are inside, and their union and intersection; `rows_with` is
+    /// [`rows_with`](super::block::rows_with); `list_cells` writes the active cells of a row,
     /// given the masks of its four rows of points, the mask of its active cells and the place of the
     /// row in their codes, and says how many they are: it may write more behind them.
     #[inline(always)]
@@ -17,23 +18,13 @@ impl Block {
         &mut self,
         samples: &BlockSamples,
         style: &Style,
-        row_mask: impl Fn(&[f32], f32, Inside) -> u64,
+        row_masks: impl Fn(&BlockSamples, &Style, &mut Vec<u64>) -> (u64, u64),
         rows_with: impl Fn([&[u64]; 3], u64, &mut [u32]) -> usize,
         list_cells: impl Fn([u64; 4], u64, u32, &mut [u32]) -> usize,
     ) -> bool {
         let [nx, ny, nz] = samples.size;
         assert!(nx < MAX_POINTS, "a row of a block fits in a mask");
-        self.inside.resize(ny * nz, 0);
-        let (mut any, mut every) = (0, u64::MAX);
-        for (z, masks) in self.inside.chunks_exact_mut(ny).enumerate() {
-            let slice = samples.first + z * samples.step[2];
-            for (y, mask) in masks.iter_mut().enumerate() {
-                let row = &samples.values[slice + y * samples.step[1]..][..nx];
-                *mask = row_mask(row, style.iso, style.inside);
-                any |= *mask;
-                every &= *mask;
-            }
-        }
+        let (any, every) = row_masks(samples, style, &mut self.inside);
         if any == 0 || every == below(nx as u32) {
             return false;
         }
@@ -165,6 +156,30 @@ impl Block {
         self.triangles_max = triangles;
         self.vertices_max = self.edge_vertices + interior;
     }
+}
+
+/// Masks of the samples of all rows that are inside, what they have together and what all have; by
+/// `row_mask` for each row.
+#[inline(always)]
+pub(super) fn row_masks(
+    samples: &BlockSamples,
+    style: &Style,
+    inside: &mut Vec<u64>,
+    row_mask: impl Fn(&[f32], f32, Inside) -> u64,
+) -> (u64, u64) {
+    let [nx, ny, nz] = samples.size;
+    inside.resize(ny * nz, 0);
+    let (mut any, mut every) = (0, u64::MAX);
+    for (z, masks) in inside.chunks_exact_mut(ny).enumerate() {
+        let slice = samples.first + z * samples.step[2];
+        for (y, mask) in masks.iter_mut().enumerate() {
+            let row = &samples.values[slice + y * samples.step[1]..][..nx];
+            *mask = row_mask(row, style.iso, style.inside);
+            any |= *mask;
+            every &= *mask;
+        }
+    }
+    (any, every)
 }
 
 /// Mask of the samples of a row that are inside, at most 64.

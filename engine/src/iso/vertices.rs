@@ -98,7 +98,7 @@ pub(super) fn list_edges(first: u32, mut mask: u64, out: &mut [u32]) -> usize {
 impl Block {
     /// Appends the vertices of the block in the order of its rows, then axes, then x.
     #[inline(always)]
-    pub(super) fn emit_vertices<U, T>(
+    pub(super) fn emit_vertices<U, N, T>(
         &mut self,
         samples: &BlockSamples,
         style: &Style,
@@ -110,6 +110,7 @@ impl Block {
             impl Fn(u32, u64, &mut [u32]) -> usize,
             impl Fn(&Placed<'_>, &[u32], &mut [[f32; 3]]),
             impl Fn(&[u32], u32, [bool; 3], &mut [u32]) -> usize,
+            N,
             T,
         >,
     ) {
@@ -151,7 +152,7 @@ impl Block {
 
     /// Lists the codes of all crossed edges, and counts them.
     #[inline(always)]
-    fn list_all<U, P, O, T>(
+    fn list_all<U, P, O, N, T>(
         &mut self,
         samples: &BlockSamples,
         codes: &mut [u32],
@@ -161,21 +162,27 @@ impl Block {
             impl Fn(u32, u64, &mut [u32]) -> usize,
             P,
             O,
+            N,
             T,
         >,
     ) -> usize {
         let [_, ny, nz] = samples.size;
         self.rows
             .resize(self.rows.len().max(ny * nz + LIST_SLACK), 0);
+        if self.row_codes.0 != [ny, nz] {
+            let codes = (0..nz as u32)
+                .flat_map(|z| (0..ny as u32).map(move |y| y << Y_SHIFT | z << Z_SHIFT));
+            self.row_codes = ([ny, nz], codes.collect());
+        }
+        let (_, row_codes) = &self.row_codes;
         let [xs, ys, zs] = &self.crossed;
         let count = (by.rows_with)([xs, ys, zs], u64::MAX, &mut self.rows);
         let mut end = 0;
         for &row in &self.rows[..count] {
             let r = row as usize;
-            let first = ((r % ny) as u32) << Y_SHIFT | ((r / ny) as u32) << Z_SHIFT;
             // A row that is crossed is mostly crossed along every axis: not asked, to save the branch.
             for (axis, row) in [xs[r], ys[r], zs[r]].into_iter().enumerate() {
-                let first = first | (axis as u32) << AXIS_SHIFT;
+                let first = row_codes[r] | (axis as u32) << AXIS_SHIFT;
                 end += (by.list_edges)(first, row, &mut codes[end..]);
             }
         }

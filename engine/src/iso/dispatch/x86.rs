@@ -16,7 +16,11 @@ pub(super) fn scan_avx2(block: &mut Block, samples: &BlockSamples, style: &Style
     block.scan_with(
         samples,
         style,
-        |row, iso, inside| mask_avx2(row, iso, inside),
+        |samples, style, out| {
+            row_masks(samples, style, out, |row, iso, inside| {
+                mask_avx2(row, iso, inside)
+            })
+        },
         |masks, bits, out| rows_with(masks, bits, out),
         |rows, cells, row, out| list_cells(rows, cells, row, out),
     )
@@ -29,7 +33,7 @@ pub(super) fn scan_avx512(block: &mut Block, samples: &BlockSamples, style: &Sty
     block.scan_with(
         samples,
         style,
-        |row, iso, inside| mask_avx512(row, iso, inside),
+        |samples, style, out| row_masks_avx512(samples, style, out),
         |masks, bits, out| rows_with_avx512(masks, bits, out),
         |rows, cells, row, out| list_cells_avx512(rows, cells, row, out),
     )
@@ -60,6 +64,9 @@ pub(super) fn emit_avx2(
             },
             list_own: |codes: &[u32], first: u32, borrowed: [bool; 3], out: &mut [u32]| {
                 list_own(codes, first, borrowed, out)
+            },
+            numbers: |block: &Block, row: usize, ny: usize, first: u32| {
+                RowNumbers::new(block, row, ny, first)
             },
             triangles: |numbers: &RowNumbers, x: u32, lanes: &[u8; 16], out: &mut [u32; 16]| {
                 write_triangles(numbers, x, lanes, out)
@@ -103,6 +110,9 @@ pub(super) fn emit_avx512(
                     list_own: |codes: &[u32], first: u32, borrowed: [bool; 3], out: &mut [u32]| {
                         list_own_avx512(codes, first, borrowed, out)
                     },
+                    numbers: |block: &Block, row: usize, ny: usize, first: u32| {
+                        numbers_avx512(block, row, ny, first)
+                    },
                     triangles: |numbers: &RowNumbers,
                                 x: u32,
                                 lanes: &[u8; 16],
@@ -137,6 +147,77 @@ fn mask_avx2(row: &[f32], iso: f32, inside: Inside) -> u64 {
         mask |= u64::from(_mm256_movemask_ps(within) as u8) << (8 * i);
     }
     mask
+}
+
+/// [`row_masks`](super::row_masks). Where rows of 17 or 33 samples follow each other, as in most
+/// blocks, all samples are compared as one row; the mask of row i of eight then lies at bit 17 i or 33 i
+/// of its 17 or 33 bytes: i bits into word i.
+#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,popcnt")]
+#[inline]
+fn row_masks_avx512(samples: &BlockSamples, style: &Style, inside: &mut Vec<u64>) -> (u64, u64) {
+    let [nx, ny, nz] = samples.size;
+    let together = samples.step[1] == nx && samples.step[2] == nx * ny;
+    let count = nx * ny * nz;
+    if !(together && (nx == 17 || nx == 33)) {
+        return row_masks(samples, style, inside, |row, iso, inside| {
+            mask_avx512(row, iso, inside)
+        });
+    }
+    // Two bytes for 16 samples, and room to read words behind the last.
+    const ROOM: usize = 33 * 33 * 33 / 8 + 128;
+    let mut bits = [0u8; ROOM];
+    let values = &samples.values[samples.first..][..count];
+    let limit = _mm512_set1_ps(style.iso);
+    let within = |values: __m512| match style.inside {
+        Inside::Above => _mm512_cmp_ps_mask::<_CMP_GE_OQ>(values, limit),
+        Inside::Below => _mm512_cmp_ps_mask::<_CMP_LT_OQ>(values, limit),
+    };
+    let (groups, rest) = values.as_chunks::<16>();
+    let (words, _) = bits.as_chunks_mut::<2>();
+    assert!(groups.len() < words.len(), "not more than 33 points a side");
+    for (group, word) in groups.iter().zip(&mut *words) {
+        // SAFETY: 16 floats.
+        let values = unsafe { _mm512_loadu_ps(group.as_ptr()) };
+        *word = within(values).to_le_bytes();
+    }
+    let present = ((1u32 << rest.len()) - 1) as u16;
+    // SAFETY: only the lanes that `rest` has are read.
+    let last = unsafe { _mm512_maskz_loadu_ps(present, rest.as_ptr()) };
+    words[groups.len()] = (within(last) & present).to_le_bytes();
+
+    inside.resize(ny * nz, 0);
+    let shifts = _mm512_setr_epi64(0, 1, 2, 3, 4, 5, 6, 7);
+    let row = _mm512_set1_epi64(below(nx as u32) as i64);
+    let (mut any, mut every) = (_mm512_setzero_si512(), row);
+    for (n, rows) in inside.chunks_mut(8).enumerate() {
+        let from: &[u8; 64] = bits[n * nx..].first_chunk().expect("room behind the last");
+        // SAFETY: 64 bytes.
+        let bytes = unsafe { _mm512_loadu_si512(from.as_ptr().cast()) };
+        let words = if nx == 17 {
+            // Words i and i + 1 of 16 bits into each lane.
+            let pairs = _mm512_add_epi64(
+                _mm512_mullo_epi64(shifts, _mm512_set1_epi64(0x1_0001)),
+                _mm512_set1_epi64(0x1_0000),
+            );
+            _mm512_maskz_permutexvar_epi16(0x3333_3333, pairs, bytes)
+        } else {
+            let pairs = _mm512_add_epi64(
+                _mm512_mullo_epi64(shifts, _mm512_set1_epi64(0x1_0000_0001)),
+                _mm512_set1_epi64(0x1_0000_0000),
+            );
+            _mm512_permutexvar_epi32(pairs, bytes)
+        };
+        let masks = _mm512_and_si512(_mm512_srlv_epi64(words, shifts), row);
+        let lanes = ((1u32 << rows.len()) - 1) as u8;
+        any = _mm512_mask_or_epi64(any, lanes, any, masks);
+        every = _mm512_mask_and_epi64(every, lanes, every, masks);
+        // SAFETY: as many numbers as there are rows.
+        unsafe { _mm512_mask_storeu_epi64(rows.as_mut_ptr().cast(), lanes, masks) };
+    }
+    (
+        _mm512_reduce_or_epi64(any) as u64,
+        _mm512_reduce_and_epi64(every) as u64,
+    )
 }
 
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
@@ -318,6 +399,42 @@ fn list_own_avx512(codes: &[u32], first: u32, borrowed: [bool; 3], out: &mut [u3
     end
 }
 
+/// [`RowNumbers::new`], in vectors.
+#[target_feature(enable = "avx512f,avx512vl,avx512dq")]
+#[inline]
+fn numbers_avx512(block: &Block, row: usize, ny: usize, first: u32) -> RowNumbers {
+    let [x, y, z] = &block.crossed;
+    let [bx, by, bz] = &block.base;
+    let (a, b) = (row, row + ny);
+    let masks = |of: &[u64], at: usize| {
+        let two: &[u64; 2] = of[at..].first_chunk().expect("a row above");
+        // SAFETY: two numbers.
+        unsafe { _mm_loadu_si128(two.as_ptr().cast()) }
+    };
+    let numbers = |of: &[u32], at: usize| {
+        let two: &[u32; 2] = of[at..].first_chunk().expect("a row above");
+        // SAFETY: two numbers.
+        unsafe { _mm_loadl_epi64(two.as_ptr().cast()) }
+    };
+    let ys = _mm_set_epi64x(y[b] as i64, y[a] as i64);
+    let yz = _mm256_set_m128i(masks(z, a), ys);
+    let xs = _mm256_set_m128i(masks(x, b), masks(x, a));
+    let crossed = _mm512_inserti64x4::<1>(_mm512_castsi256_si512(xs), yz);
+    let ys = _mm_set_epi64x(0, (u64::from(by[b]) << 32 | u64::from(by[a])) as i64);
+    let yz = _mm_unpacklo_epi64(ys, numbers(bz, a));
+    let xs = _mm_unpacklo_epi64(numbers(bx, a), numbers(bx, b));
+    let base = _mm256_add_epi32(_mm256_set_m128i(yz, xs), _mm256_set1_epi32(first as i32));
+    let mut out = RowNumbers::default();
+    let high = _mm512_cvtepi64_epi32(_mm512_srli_epi64::<32>(crossed));
+    // SAFETY: eight numbers each, aligned by their type.
+    unsafe {
+        _mm256_store_si256(out.low.as_mut_ptr().cast(), _mm512_cvtepi64_epi32(crossed));
+        _mm256_store_si256(out.base.as_mut_ptr().cast(), base);
+        _mm256_store_si256(out.high.as_mut_ptr().cast(), high);
+    }
+    out
+}
+
 /// The bits below x, eight times, and those below x + 1.
 static BELOW: [[u32; 16]; 32] = {
     let mut all = [[0; 16]; 32];
@@ -463,6 +580,31 @@ fn place_16(
     let origin = samples.origin;
     let at = |v: __m512i, a: usize| _mm512_add_epi32(v, _mm512_set1_epi32(origin[a]));
     let points = [at(x, 0), at(y, 1), at(z, 2)];
+    if style.placement.is_diagonal() {
+        let halves = |v: __m512i| (_mm512_castsi512_si256(v), _mm512_extracti32x8_epi32::<1>(v));
+        let (t0, t1) = (_mm512_castps512_ps256(t), _mm512_extractf32x8_ps::<1>(t));
+        let (t0, t1) = (_mm512_cvtps_pd(t0), _mm512_cvtps_pd(t1));
+        let mut xyz = [t; 3];
+        for (a, row) in style.placement.rows().iter().enumerate() {
+            // The terms of the other axes are zeros, which add nothing; the step along another axis
+            // as well, but it makes a negative zero positive.
+            let along = _mm512_cmpeq_epi32_mask(axis, _mm512_set1_epi32(a as i32));
+            let (factor, shift) = (_mm512_set1_pd(row[a]), _mm512_set1_pd(row[3]));
+            let half = |v: __m256i, t: __m512d, along: u8| {
+                let start = _mm512_add_pd(_mm512_mul_pd(factor, _mm512_cvtepi32_pd(v)), shift);
+                let step = _mm512_maskz_mul_pd(along, factor, t);
+                _mm512_cvtpd_ps(_mm512_add_pd(start, step))
+            };
+            let (low, high) = halves(points[a]);
+            let (low, high) = (
+                half(low, t0, along as u8),
+                half(high, t1, (along >> 8) as u8),
+            );
+            xyz[a] = _mm512_insertf32x8::<1>(_mm512_castps256_ps512(low), high);
+        }
+        store_interleaved(xyz, out);
+        return;
+    }
     let mut xyz = [_mm512_setzero_ps(); 3];
     let map = style.placement.rows();
     for (a, row) in map.iter().enumerate() {
