@@ -14,6 +14,7 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::field::Field;
 use crate::mesh::{Count, EdgeKey, MeshSink, Piece, Totals};
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// A piece in the making: what a ticket becomes.
@@ -62,6 +63,10 @@ struct Sweep<'a, 'k> {
     candidates: Mutex<Candidates<'a>>,
     state: Mutex<State<'k>>,
     changed: Condvar,
+    /// Whether batches are given away as they are, so that they must not depend on time.
+    fixed: bool,
+    /// Blocks and triangles of the tickets that are done, to guess the size of the next.
+    done: [AtomicU64; 2],
 }
 
 /// Sizes that follow from the budget.
@@ -69,9 +74,13 @@ struct Sweep<'a, 'k> {
 pub(super) struct Limits {
     pub(super) threads: usize,
     batches: usize,
-    /// Blocks a ticket.
+    /// Blocks a ticket, at least.
     pub(super) blocks: usize,
 }
+
+/// Triangles of a ticket, about: the larger the batches, the fewer waits and writes, but what a ticket
+/// makes should stay in the cache of its processor until it is written.
+const TICKET_TRIANGLES: u64 = 24 << 10;
 
 /// Vertices and triangles of a piece. A block of 32^3 cells of white noise fills it; a block beyond
 /// that is meshed alone, under a permit of its own, when it is its turn.
@@ -155,6 +164,7 @@ fn march(
 ) -> Result<(Stats, Totals)> {
     let (field, blocks) = (candidates.field, candidates.blocks);
     let limits = Limits::new(&blocks, &style, budget)?;
+    let keep_batches = keep.is_some();
     let piece = usual_piece_bytes(&style);
     let scratch = 4 * (blocks.edge as u64 + 5).pow(3) * 2;
     let _pieces = budget.take(
@@ -183,6 +193,8 @@ fn march(
             front: budget.take(0, "the front")?,
         }),
         changed: Condvar::new(),
+        fixed: keep_batches,
+        done: Default::default(),
     };
     std::thread::scope(|scope| {
         for _ in 1..limits.threads {
@@ -242,6 +254,8 @@ impl<'k> Sweep<'_, 'k> {
                     let room = (&mut block, &mut samples, relaxer.as_mut());
                     batch = self.mesh_block(at, ticket, room, batch)?;
                 }
+                self.done[0].fetch_add(todo.len() as u64, Relaxed);
+                self.done[1].fetch_add(batch.piece.triangles.len() as u64, Relaxed);
                 state = self.lock();
                 state.waiting.insert(ticket, batch);
                 self.number_waiting(&mut state)?;
@@ -259,7 +273,8 @@ impl<'k> Sweep<'_, 'k> {
     fn draw(&self, todo: &mut Vec<[i32; 3]>) -> Result<Option<u64>> {
         let mut candidates = self.candidates.lock().expect("no thread panicked");
         todo.clear();
-        while todo.len() < self.limits.blocks {
+        let most = self.ticket_blocks();
+        while todo.len() < most {
             match candidates.next()? {
                 Some(at) => todo.push(at),
                 None => break,
@@ -272,6 +287,17 @@ impl<'k> Sweep<'_, 'k> {
         let ticket = state.tickets;
         state.tickets += 1;
         Ok(Some(ticket))
+    }
+
+    /// How many blocks the next ticket has. No output depends on it.
+    fn ticket_blocks(&self) -> usize {
+        let least = self.limits.blocks;
+        let [blocks, triangles] = [0, 1].map(|i| self.done[i].load(Relaxed));
+        if self.fixed || blocks < 8 * least as u64 {
+            return least;
+        }
+        let wanted = TICKET_TRIANGLES * blocks / triangles.max(1);
+        (wanted as usize).clamp(least, 4 * least)
     }
 
     fn mesh_block(

@@ -49,6 +49,7 @@ mod record;
 mod rows;
 mod slabs;
 mod source;
+mod spare;
 mod spec;
 mod storage;
 #[cfg(test)]

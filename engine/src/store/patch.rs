@@ -39,6 +39,23 @@ impl Patch<'_> {
     ) {
         let ([i, j, k], [nx, ny, nz], e) = (self.to, self.size, self.edge);
         let start = self.from[0] + e * (self.from[1] + e * self.from[2]);
+        if let (Stored::Raw(raw), 1) = (self.samples, nx) {
+            // One sample of each row, as of the neighbour along x: nothing but the samples.
+            let raw = raw.as_chunks::<W>().0;
+            for z in 0..nz {
+                let column = &raw[start + e * e * z..];
+                let values = &mut out[i + j * row + (k + z) * slice..];
+                for (value, bytes) in values
+                    .iter_mut()
+                    .step_by(row)
+                    .zip(column.iter().step_by(e))
+                    .take(ny)
+                {
+                    *value = convert(*bytes);
+                }
+            }
+            return;
+        }
         for z in 0..nz {
             for y in 0..ny {
                 let values = &mut out[i + (j + y) * row + (k + z) * slice..][..nx];
@@ -57,7 +74,7 @@ impl Patch<'_> {
                         }
                     }
                     Stored::Raw(raw) => {
-                        let raw = raw[at * W..][..nx * W].as_chunks::<W>().0;
+                        let raw = &raw.as_chunks::<W>().0[at..][..nx];
                         // Whole arrays of the usual length: a handful of vector moves.
                         match (values.first_chunk_mut::<16>(), raw.first_chunk::<16>()) {
                             (Some(values), Some(raw)) if nx == 16 => {

@@ -3,12 +3,13 @@
 use super::cache;
 use super::damage::stand_in;
 use super::page::Slot;
+use super::spare::Brick;
 use super::value::f32_of;
 use super::volume::Volume;
 use crate::error::Result;
 use crate::field::Pin;
 
-struct Bytes(cache::Ref<Vec<u8>>);
+struct Bytes(cache::Ref<Brick>);
 
 impl AsRef<[u8]> for Bytes {
     fn as_ref(&self) -> &[u8] {

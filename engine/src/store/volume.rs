@@ -13,6 +13,7 @@ use super::open::{Contents, Opened};
 use super::page::{NODES, Page, PageRules, Slot, page_origin, slot_of};
 use super::patch::{Patch, Stored};
 use super::record::{RecordKind, Ref};
+use super::spare::{Brick, Spare};
 use super::spec::{VolumeInfo, VolumeSpec, page_edge};
 use super::storage::{FileStorage, Storage};
 use super::value::KeyRange;
@@ -33,7 +34,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 ///
 /// # Memory
 /// Decoded bricks take at most 3/8 of the budget, node pages 1/12; each thread that decodes takes a
-/// buffer of about two bricks. All of it is under permit.
+/// buffer of about two bricks; 256 KiB of buffers of bricks are kept for others. All of it is under permit.
 pub struct Volume {
     file: Opened,
     /// In the catalog.
@@ -49,7 +50,8 @@ pub struct Volume {
     pub(super) root: Option<cache::Ref<Page>>,
     /// By offset and place: both, so that entries outlive a refresh and never stand for another.
     pages: PageCache<(u64, u8, u64), Page>,
-    bricks: PageCache<(u64, u64), Vec<u8>>,
+    bricks: PageCache<(u64, u64), Brick>,
+    spare: Arc<Spare>,
     buffers: Mutex<Vec<Buffers>>,
     budget: Budget,
     decoded: AtomicU64,
@@ -142,6 +144,7 @@ impl Volume {
             root: None,
             pages: PageCache::with_entry_bytes(budget, memory / 12, page_charge(4096)),
             bricks: PageCache::with_entry_bytes(budget, memory / 8 * 3, brick),
+            spare: Spare::new(brick, budget),
             buffers: Mutex::default(),
             budget: budget.clone(),
             decoded: AtomicU64::new(0),
@@ -459,18 +462,18 @@ impl Volume {
             .error(ErrorKind::Damaged, format!("{place}: {what}"))
     }
 
-    pub(super) fn brick(&self, brick: [u32; 3], reference: Ref) -> Result<cache::Ref<Vec<u8>>> {
+    pub(super) fn brick(&self, brick: [u32; 3], reference: Ref) -> Result<cache::Ref<Brick>> {
         let bytes = self.rules.brick_bytes as usize;
         let key = (reference.offset, morton_encode(brick));
         self.bricks.get(key, bytes as u64, || {
             let mut buffers = self.take_buffers()?;
-            let mut out = vec![0; bytes];
+            let mut out = self.spare.take(bytes);
             let result = self.load_brick(brick, reference, &mut buffers, &mut out);
             self.buffers
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
                 .push(buffers);
-            result.map(|()| out)
+            result.map(|()| self.spare.brick(out))
         })
     }
 
