@@ -1,6 +1,5 @@
 //! File formats: volumes in ([`open_volume`]) and out, meshes in and out.
 
-mod append;
 mod aside;
 mod export;
 mod input;
@@ -26,6 +25,7 @@ mod stl;
 mod stl_read;
 mod text;
 mod volume;
+mod waiting;
 mod world;
 
 #[cfg(test)]

@@ -50,7 +50,7 @@ impl Format {
 /// When the extension is unknown, the file exists, or the folder cannot be written.
 ///
 /// # Memory
-/// At most 1 MiB a writing thread. On disk: the file, and until the end its triangles once more.
+/// At most 1 MiB a writing thread, 3 MiB at the end. On disk: the file, and until the end half of its triangles once more.
 pub fn create_mesh_sink(path: &Path, overwrite: bool) -> Result<Box<dyn MeshSink>> {
     Ok(match Format::of(path)? {
         Format::Ply => Box::new(Stream::create(Ply::default(), path, overwrite)?),

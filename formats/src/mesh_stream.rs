@@ -4,10 +4,10 @@
 //! triangle, all of fixed size. So a piece knows where its records go, threads write without
 //! waiting for each other, and the bytes do not depend on the order of the pieces. The number of
 //! vertices is known only at the end; until then triangles wait in a nameless scratch file in the
-//! same folder. On disk the peak is the finished file plus its triangles once more.
+//! same folder, in half of the room (`waiting.rs`), which is given back while they are written.
 
-use crate::append::append;
 use crate::aside::{Aside, write_all_at};
+use crate::waiting::{RECORD_TRIANGLES, Waiting};
 use brickmarch::mesh::{Layout, MeshSink, Piece, Totals};
 use brickmarch::{Error, ErrorKind, Result};
 use std::fs::File;
@@ -65,7 +65,7 @@ pub(crate) struct Stream<E> {
 struct Output {
     aside: Aside,
     /// Triangles until the number of vertices is known.
-    scratch: Option<File>,
+    waiting: Option<Waiting>,
 }
 
 impl<E: Encode> Stream<E> {
@@ -76,12 +76,26 @@ impl<E: Encode> Stream<E> {
             shape: Shape::default(),
             output: Some(Output {
                 aside,
-                scratch: None,
+                waiting: None,
             }),
             vertices: AtomicU64::new(0),
             triangles: AtomicU64::new(0),
             buffers: Mutex::default(),
         })
+    }
+
+    /// Writes the triangles of `piece` to their place behind `base`.
+    fn write_triangles(
+        &self,
+        file: &File,
+        base: u64,
+        piece: &Piece,
+        buffer: &mut Vec<u8>,
+    ) -> std::io::Result<()> {
+        let size = self.shape.triangle;
+        let offset = place(base, piece.first_triangle, size)?;
+        let encode = |range: Range<usize>, out: &mut [u8]| self.encode.triangles(piece, range, out);
+        write_records(file, buffer, piece.triangles.len(), size, offset, encode)
     }
 
     fn check_room(&self, piece: &Piece, path: &Path) -> Result<()> {
@@ -159,7 +173,7 @@ impl<E: Encode> MeshSink for Stream<E> {
             .begin(layout)
             .map_err(|e| e.context(output.aside.path().display()))?;
         if self.shape.vertex > 0 {
-            output.scratch = Some(output.aside.scratch()?);
+            output.waiting = Some(Waiting::new(output.aside.scratch()?));
         }
         Ok(())
     }
@@ -185,22 +199,16 @@ impl<E: Encode> MeshSink for Stream<E> {
                 })
                 .map_err(|e| Error::io(path, "writing vertices", e))?;
         }
-        let (file, base) = match &output.scratch {
-            Some(scratch) => (scratch, 0),
-            None => (main, self.shape.header),
-        };
-        place(base, piece.first_triangle, self.shape.triangle)
-            .and_then(|offset| {
-                write_records(
-                    file,
-                    &mut buffer,
-                    piece.triangles.len(),
-                    self.shape.triangle,
-                    offset,
-                    |range, out| self.encode.triangles(piece, range, out),
-                )
-            })
-            .map_err(|e| Error::io(path, "writing triangles", e))?;
+        match &output.waiting {
+            Some(waiting) => (0..piece.triangles.len())
+                .step_by(RECORD_TRIANGLES)
+                .try_for_each(|start| {
+                    let end = piece.triangles.len().min(start + RECORD_TRIANGLES);
+                    waiting.put(piece, start..end, &mut buffer)
+                }),
+            None => self.write_triangles(main, self.shape.header, piece, &mut buffer),
+        }
+        .map_err(|e| Error::io(path, "writing triangles", e))?;
         self.buffers
             .lock()
             .expect("no writer panicked")
@@ -215,7 +223,7 @@ impl<E: Encode> MeshSink for Stream<E> {
     }
 
     fn finish(&mut self, totals: Totals) -> Result<()> {
-        let Output { aside, scratch } = self.output.take().ok_or_else(finished)?;
+        let Output { aside, waiting } = self.output.take().ok_or_else(finished)?;
         let path = aside.path();
         let written = Totals {
             vertices: *self.vertices.get_mut(),
@@ -238,15 +246,26 @@ impl<E: Encode> MeshSink for Stream<E> {
         assert_eq!(header.len() as u64, self.shape.header, "size of the header");
         write_all_at(aside.file(), &header, 0)
             .map_err(|e| Error::io(path, "writing the header", e))?;
-        if let Some(scratch) = scratch {
-            let end = place(self.shape.header, totals.vertices, self.shape.vertex);
+        if let Some(waiting) = waiting {
             // As many threads as have written.
             let threads = self.buffers.get_mut().expect("no writer panicked").len();
-            end.and_then(|end| {
-                let length = place(0, totals.triangles, self.shape.triangle)?;
-                append(&scratch, length, aside.file(), end, threads)
+            let base = place(self.shape.header, totals.vertices, self.shape.vertex);
+            base.and_then(|base| {
+                // Whole at once fails early where a file cannot be so large.
+                let end = place(base, totals.triangles, self.shape.triangle)?;
+                aside.file().set_len(end)?;
+                waiting.drain(threads, |piece| {
+                    let pooled = self.buffers.lock().expect("no writer panicked").pop();
+                    let mut buffer = pooled.unwrap_or_default();
+                    let result = self.write_triangles(aside.file(), base, piece, &mut buffer);
+                    self.buffers
+                        .lock()
+                        .expect("no writer panicked")
+                        .push(buffer);
+                    result
+                })
             })
-            .map_err(|e| Error::io(path, "appending the triangles", e))?;
+            .map_err(|e| Error::io(path, "writing the triangles behind the vertices", e))?;
         }
         aside.commit()
     }
@@ -546,12 +565,15 @@ mod tests {
             .read_exact_at(&mut record, stream.shape.header + last * 12)
             .expect("there");
         assert_eq!(record[4..8], 2.0_f32.to_le_bytes());
-        let mut record = [0; 13];
-        output
-            .scratch
-            .as_ref()
-            .expect("PLY has one")
-            .read_exact_at(&mut record, (1 << 36) * 13)
+        let (base, mut record) = (stream.shape.header + (last + 1) * 12, [0; 13]);
+        let file = output.aside.file();
+        let waiting = output.waiting.as_ref().expect("PLY has one");
+        waiting
+            .drain(1, |piece| {
+                stream.write_triangles(file, base, piece, &mut Vec::new())
+            })
+            .expect("written");
+        file.read_exact_at(&mut record, base + (1 << 36) * 13)
             .expect("there");
         assert_eq!(
             record,
@@ -575,7 +597,7 @@ mod tests {
         };
         let mut stream = Stream::create(crate::ply::Ply::default(), &path, false).expect("made");
         stream.begin(Layout::default()).expect("begun");
-        stream.output.as_mut().expect("open").scratch = Some(full());
+        stream.output.as_mut().expect("open").waiting = Some(Waiting::new(full()));
         let piece = pieces(&mesh, usize::MAX).next().expect("one piece");
         let error = stream.write(&piece).expect_err("no space");
         assert_eq!(error.kind(), ErrorKind::Io);

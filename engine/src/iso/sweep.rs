@@ -43,6 +43,8 @@ struct State<'k> {
     waiting: BTreeMap<u64, Batch>,
     /// Numbered batches that wait to be written.
     numbered: Vec<Batch>,
+    /// Threads that write now.
+    writing: usize,
     free: Vec<Batch>,
     /// Ticket to be numbered next.
     turn: u64,
@@ -73,6 +75,8 @@ struct Sweep<'a, 'k> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits {
     pub(super) threads: usize,
+    /// Threads that write at one time while there is other work.
+    writers: usize,
     batches: usize,
     /// Blocks a ticket, at least.
     pub(super) blocks: usize,
@@ -117,6 +121,7 @@ impl Limits {
         let threads = budget.threads().min(fits);
         Ok(Self {
             threads,
+            writers: threads.div_ceil(3),
             batches: (2 * threads).min(fits),
             blocks: (65536 / blocks.edge.pow(3)).max(1) as usize,
         })
@@ -185,6 +190,7 @@ fn march(
             stats: Stats::default(),
             waiting: BTreeMap::new(),
             numbered: Vec::new(),
+            writing: 0,
             free: (0..limits.batches).map(|_| Batch::new(&style)).collect(),
             turn: 0,
             tickets: 0,
@@ -234,7 +240,11 @@ impl<'k> Sweep<'_, 'k> {
             if state.error.is_some() {
                 return Ok(());
             }
-            if let Some(batch) = state.numbered.pop() {
+            // Writers of one file wait for each other in the kernel: others rather go on meshing.
+            let may_write =
+                state.writing < self.limits.writers || state.exhausted || state.free.is_empty();
+            if may_write && let Some(batch) = state.numbered.pop() {
+                state.writing += 1;
                 drop(state);
                 self.write(batch)?;
                 state = self.lock();
@@ -407,7 +417,10 @@ impl<'k> Sweep<'_, 'k> {
             self.sink.write(&batch.piece)?;
         }
         batch.reset();
-        self.lock().free.push(batch);
+        let mut state = self.lock();
+        state.free.push(batch);
+        state.writing -= 1;
+        drop(state);
         self.changed.notify_all();
         Ok(())
     }

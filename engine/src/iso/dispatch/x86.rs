@@ -21,8 +21,8 @@ pub(super) fn scan_avx2(block: &mut Block, samples: &BlockSamples, style: &Style
                 mask_avx2(row, iso, inside)
             })
         },
-        |masks, bits, out| rows_with(masks, bits, out),
-        |rows, cells, row, out| list_cells(rows, cells, row, out),
+        rows_with,
+        list_cells,
     )
 }
 
