@@ -149,12 +149,14 @@ fn encode(piece: &Piece, range: Range<usize>, out: &mut Vec<u8>) {
             let continues = id == next;
             word |= u64::from(continues) << bit;
             next += u64::from(continues);
-            if !continues {
-                out.extend(id.to_le_bytes());
-                foreign += 1;
-            }
         }
         out[bits + 8 * i..][..8].copy_from_slice(&word.to_le_bytes());
+        let mut others = !word & (u64::MAX >> (64 - ids.len()));
+        foreign += others.count_ones();
+        while others != 0 {
+            out.extend_from_slice(&ids[others.trailing_zeros() as usize].to_le_bytes());
+            others &= others - 1;
+        }
     }
     out[HEAD_BYTES - 4..HEAD_BYTES].copy_from_slice(&foreign.to_le_bytes());
 }
@@ -218,15 +220,22 @@ impl Head {
         let mut foreign = foreign.as_chunks::<8>().0.iter();
         let mut next = self.first_vertex;
         for (i, word) in words.as_chunks::<8>().0.iter().enumerate() {
-            let word = u64::from_le_bytes(*word);
-            for bit in 0..(self.vertices - 64 * i).min(64) {
-                if word >> bit & 1 == 1 {
-                    piece.ids.push(next);
-                    next += 1;
-                } else {
+            let (mut word, mut left) =
+                (u64::from_le_bytes(*word), (self.vertices - 64 * i).min(64));
+            // Run by run.
+            while left > 0 {
+                let run = (word.trailing_ones() as usize).min(left);
+                piece.ids.extend(next..next + run as u64);
+                next += run as u64;
+                left -= run;
+                word = word.unbounded_shr(run as u32);
+                let others = (word.trailing_zeros() as usize).min(left);
+                for _ in 0..others {
                     let id = foreign.next().ok_or_else(damaged)?;
                     piece.ids.push(u64::from_le_bytes(*id));
                 }
+                left -= others;
+                word = word.unbounded_shr(others as u32);
             }
         }
         if most as usize >= piece.ids.len() && self.triangles > 0 {

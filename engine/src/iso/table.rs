@@ -82,8 +82,12 @@ pub(crate) struct Table {
     pub(crate) plain_lanes: [[u8; 16]; 256],
     first: [u16; 256],
     entries: Vec<Entry>,
-    /// Cases with a tunnel; they are numbered after the entries.
-    tunnels: Vec<TunnelCase>,
+}
+
+/// The cases with a tunnel, apart from the table: most runs meet none, and it takes 8 ms to find them.
+struct Tunnels {
+    /// They are numbered after the entries.
+    cases: Vec<TunnelCase>,
     /// Per entry the numbers of its tunnels, by [`slot`].
     slots: Vec<[u16; 8]>,
 }
@@ -113,18 +117,18 @@ impl Table {
     #[inline(always)]
     pub(crate) fn case(&self, number: u16) -> std::result::Result<&Entry, &TunnelCase> {
         let number = usize::from(number);
-        (self.entries.get(number)).ok_or_else(|| &self.tunnels[number - self.entries.len()])
+        (self.entries.get(number)).ok_or_else(|| &TUNNELS.cases[number - self.entries.len()])
     }
 
     /// Whether the loops of an entry allow a tunnel.
     #[inline]
     pub(crate) fn may_hold_tunnel(&self, number: u16) -> bool {
-        self.slots[usize::from(number)] != [NONE; 8]
+        TUNNELS.slots[usize::from(number)] != [NONE; 8]
     }
 
     /// The number of the tunnel of an entry around the diagonal from corner `apex` (0, 1, 2 or 4).
     pub(crate) fn tunnel_number(&self, number: u16, apex: usize, box_inside: bool) -> Option<u16> {
-        let tunnel = self.slots[usize::from(number)][slot(apex, box_inside)];
+        let tunnel = TUNNELS.slots[usize::from(number)][slot(apex, box_inside)];
         (tunnel != NONE).then_some(tunnel)
     }
 
@@ -142,6 +146,8 @@ impl Table {
 
 /// The one table.
 pub(crate) static TABLE: LazyLock<Table> = LazyLock::new(build);
+
+static TUNNELS: LazyLock<Tunnels> = LazyLock::new(|| find_tunnels(&TABLE));
 
 /// By places and value: the bits of the value at the places, packed to the low end.
 static RANKS: [[u8; 64]; 64] = {
@@ -182,8 +188,6 @@ fn build() -> Table {
         plain_lanes: [[0; 16]; 256],
         first: [0; 256],
         entries: Vec::new(),
-        tunnels: Vec::new(),
-        slots: Vec::new(),
     };
     for mask in 0..=255u8 {
         let faces = ambiguous_faces(mask);
@@ -196,11 +200,10 @@ fn build() -> Table {
             table.entries.push(entry);
         }
     }
-    add_tunnels(&mut table);
     for mask in 0..256 {
         let first = table.first[mask];
         table.undecided[mask] = match table.ambiguous[mask] {
-            0 => u8::from(table.may_hold_tunnel(first)),
+            0 => u8::from(two_opposite(mask as u8)),
             faces => faces,
         };
         if table.undecided[mask] == 0 {
@@ -212,9 +215,18 @@ fn build() -> Table {
     table
 }
 
-fn add_tunnels(table: &mut Table) {
+/// Whether two opposite corners stand against the rest.
+fn two_opposite(mask: u8) -> bool {
+    let few = if mask.count_ones() > 4 { !mask } else { mask };
+    few.count_ones() == 2 && few == few.reverse_bits()
+}
+
+fn find_tunnels(table: &Table) -> Tunnels {
     let count = table.entries.len();
-    table.slots = vec![[NONE; 8]; count];
+    let mut found = Tunnels {
+        cases: Vec::new(),
+        slots: vec![[NONE; 8]; count],
+    };
     for mask in 0..=255u8 {
         let faces = ambiguous_faces(mask);
         for rank in 0..1u8 << faces.count_ones() {
@@ -225,13 +237,14 @@ fn add_tunnels(table: &mut Table) {
             {
                 if let Some(case) = tunnel_case(mask, joined, apex, box_inside) {
                     let number = usize::from(table.number(mask, joined));
-                    let tunnel = (count + table.tunnels.len()) as u16;
-                    table.slots[number][slot(apex, box_inside)] = tunnel;
-                    table.tunnels.push(case);
+                    let tunnel = (count + found.cases.len()) as u16;
+                    found.slots[number][slot(apex, box_inside)] = tunnel;
+                    found.cases.push(case);
                 }
             }
         }
     }
+    found
 }
 
 /// Faces of `mask` whose corners alternate.
@@ -475,5 +488,17 @@ mod tests {
             assert_ne!(TABLE.ambiguous[mask as usize], 0, "{mask:08b}");
         }
         assert_eq!((with.len(), all_cases().count()), (116, 656));
+    }
+
+    #[test]
+    fn masks_that_tell_the_case_hold_no_tunnel() {
+        for mask in 0..=255u8 {
+            let m = usize::from(mask);
+            let expected = match TABLE.ambiguous[m] {
+                0 => u8::from(TABLE.may_hold_tunnel(TABLE.first[m])),
+                faces => faces,
+            };
+            assert_eq!(TABLE.undecided[m], expected, "{mask:08b}");
+        }
     }
 }

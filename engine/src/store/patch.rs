@@ -39,19 +39,25 @@ impl Patch<'_> {
     ) {
         let ([i, j, k], [nx, ny, nz], e) = (self.to, self.size, self.edge);
         let start = self.from[0] + e * (self.from[1] + e * self.from[2]);
-        if let (Stored::Raw(raw), 1) = (self.samples, nx) {
-            // One sample of each row, as of the neighbour along x: nothing but the samples.
+        if let Stored::Raw(raw) = self.samples {
             let raw = raw.as_chunks::<W>().0;
             for z in 0..nz {
-                let column = &raw[start + e * e * z..];
-                let values = &mut out[i + j * row + (k + z) * slice..];
-                for (value, bytes) in values
-                    .iter_mut()
-                    .step_by(row)
-                    .zip(column.iter().step_by(e))
-                    .take(ny)
-                {
-                    *value = convert(*bytes);
+                let from = raw[start + e * e * z..].chunks(e);
+                let to = out[i + j * row + (k + z) * slice..].chunks_mut(row);
+                let rows = to.zip(from).take(ny);
+                match nx {
+                    // One sample of each row, as of the neighbour along x.
+                    1 => rows.for_each(|(to, from)| to[0] = convert(from[0])),
+                    // Whole arrays of the usual length: a handful of vector moves.
+                    16 => rows.for_each(|(to, from)| {
+                        let to: &mut [T; 16] = to.first_chunk_mut().expect("the row has room");
+                        let from: &[_; 16] = from.first_chunk().expect("a row of the brick");
+                        *to = std::array::from_fn(|x| convert(from[x]));
+                    }),
+                    _ => rows.for_each(|(to, from)| {
+                        let both = to[..nx].iter_mut().zip(&from[..nx]);
+                        both.for_each(|(to, from)| *to = convert(*from));
+                    }),
                 }
             }
             return;
@@ -73,19 +79,7 @@ impl Patch<'_> {
                             *value = convert(bytes);
                         }
                     }
-                    Stored::Raw(raw) => {
-                        let raw = &raw.as_chunks::<W>().0[at..][..nx];
-                        // Whole arrays of the usual length: a handful of vector moves.
-                        match (values.first_chunk_mut::<16>(), raw.first_chunk::<16>()) {
-                            (Some(values), Some(raw)) if nx == 16 => {
-                                *values = std::array::from_fn(|x| convert(raw[x]));
-                            }
-                            _ => values
-                                .iter_mut()
-                                .zip(raw)
-                                .for_each(|(v, b)| *v = convert(*b)),
-                        }
-                    }
+                    Stored::Raw(_) => unreachable!("copied above"),
                 }
             }
         }

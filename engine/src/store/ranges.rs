@@ -17,6 +17,17 @@ impl Volume {
     /// [`range`](Field::range) in the native type.
     pub(super) fn key_range(&self, region: Box3) -> Result<KeyRange> {
         let mut union = KeyRange::empty(self.spec.sample);
+        if let Some((low, high)) = self.few_bricks(region) {
+            let mut cursor = None;
+            for z in low[2]..=high[2] {
+                for y in low[1]..=high[1] {
+                    for x in low[0]..=high[0] {
+                        union = union.union(self.brick_range([x, y, z], &mut cursor)?);
+                    }
+                }
+            }
+            return Ok(union);
+        }
         self.visit_ranges(region, &mut |range, leaf, inside| {
             if union.covers(&range) {
                 return false;
@@ -27,6 +38,20 @@ impl Volume {
             !inside
         })?;
         Ok(union)
+    }
+
+    /// The bricks that `region` meets, inclusive, where those are so few that going down the octree would
+    /// look at more nodes than there are bricks: a block and its neighbours.
+    fn few_bricks(&self, region: Box3) -> Option<([u32; 3], [u32; 3])> {
+        let domain = self.spec.grid.domain;
+        let region = region.intersect(&domain);
+        if region.is_empty() || self.root.is_none() {
+            return None;
+        }
+        let edge = self.spec.brick_edge;
+        let brick = |point| domain.local(point).map(|v| v / edge);
+        let (low, high) = (brick(region.min), brick(region.max.map(|v| v - 1)));
+        (0..3).all(|a| high[a] - low[a] < 2).then_some((low, high))
     }
 
     /// Visits octree nodes that meet `region`, coarse to fine: `visit(range, is_leaf, is_inside)`

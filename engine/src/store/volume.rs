@@ -430,6 +430,20 @@ impl Volume {
         Ok(found)
     }
 
+    /// The range of a brick, of a file that has any; `cursor` as for [`locate`](Self::locate).
+    pub(super) fn brick_range(
+        &self,
+        brick: [u32; 3],
+        cursor: &mut Option<cache::Ref<Page>>,
+    ) -> Result<KeyRange> {
+        match cursor {
+            Some(page) if page.origin == page_origin(brick, 1) => {
+                Ok(page.range(slot_of(brick, page.level)))
+            }
+            _ => Ok(self.locate(brick, cursor)?.1),
+        }
+    }
+
     pub(super) fn page(
         &self,
         level: u8,
