@@ -146,6 +146,11 @@ mod tests {
             ([17, 17, 17], false),
             ([34, 9, 8], false),
             ([9, 5, 4], false),
+            // Blocks of 32 cells, plain and capped, and larger ones.
+            ([33, 33, 33], false),
+            ([33, 34, 34], true),
+            ([17, 18, 18], true),
+            ([33, 40, 40], false),
         ] {
             let samples = BlockSamples {
                 origin: [-3, 4, 5],

@@ -158,13 +158,15 @@ fn row_masks_avx512(samples: &BlockSamples, style: &Style, inside: &mut Vec<u64>
     let [nx, ny, nz] = samples.size;
     let together = samples.step[1] == nx && samples.step[2] == nx * ny;
     let count = nx * ny * nz;
-    if !(together && (nx == 17 || nx == 33)) {
+    // Capped blocks have a layer more.
+    const MOST: usize = 34;
+    if !(together && (nx == 17 || nx == 33) && ny <= MOST && nz <= MOST) {
         return row_masks(samples, style, inside, |row, iso, inside| {
             mask_avx512(row, iso, inside)
         });
     }
     // Two bytes for 16 samples, and room to read words behind the last.
-    const ROOM: usize = 33 * 33 * 33 / 8 + 128;
+    const ROOM: usize = 33 * MOST * MOST / 8 + 128;
     let mut bits = [0u8; ROOM];
     let values = &samples.values[samples.first..][..count];
     let limit = _mm512_set1_ps(style.iso);
@@ -174,7 +176,10 @@ fn row_masks_avx512(samples: &BlockSamples, style: &Style, inside: &mut Vec<u64>
     };
     let (groups, rest) = values.as_chunks::<16>();
     let (words, _) = bits.as_chunks_mut::<2>();
-    assert!(groups.len() < words.len(), "not more than 33 points a side");
+    assert!(
+        groups.len() < words.len(),
+        "not more points than there is room for"
+    );
     for (group, word) in groups.iter().zip(&mut *words) {
         // SAFETY: 16 floats.
         let values = unsafe { _mm512_loadu_ps(group.as_ptr()) };
