@@ -8,6 +8,7 @@
 mod net;
 mod settle;
 mod surface;
+mod tangle;
 
 use super::block::{Block, BlockOutput, BlockSamples, Style, below};
 use super::blocks::Blocks;
@@ -21,6 +22,7 @@ use net::Net;
 use settle::{Settling, settle};
 use std::ops::Range;
 use surface::{FINE, Metric, Surface, UNIT};
+use tangle::Tangles;
 
 /// Most passes: a tile with all its rings is as large as a block can be.
 pub const MAX_RELAX_PASSES: u8 = 5;
@@ -143,7 +145,7 @@ impl<'a> Relaxer<'a> {
         }
         let bytes = self.samples.values.len() * 4
             + self.block.vertices_max * (Net::VERTEX_BYTES + 12 + 4 + size_of::<EdgeKey>())
-            + self.block.triangles_max * 12;
+            + self.block.triangles_max * (12 + Tangles::TRIANGLE_BYTES);
         self.memory = Some(
             self.budget
                 .take(bytes as u64, "relaxing a tile of dense surface")?,

@@ -10,8 +10,9 @@ use crate::sample::Inside;
 /// Share of the way to the middle of its neighbours that a vertex goes in a pass.
 const STEP: f32 = 0.7;
 
-/// No vertex ends farther than this from where it began, along any axis, in units of a place.
-const REACH: i32 = 1 << (FINE - 1);
+/// No vertex ends farther than this from where it began, along any axis, in units of a place: a
+/// little less than half a cell, so that triangles with a cell between them never meet.
+const REACH: i32 = (1 << (FINE - 1)) - 1;
 
 /// Distance from the surface, in cells, at which a vertex is taken to lie on it.
 const ON_SURFACE: f32 = 1.0 / 65536.0;
@@ -38,14 +39,14 @@ pub(super) struct Net {
     pub(super) kinds: Vec<u8>,
     /// How many cells beyond the tile proper.
     pub(super) rings: Vec<u8>,
-    /// Vertices of cells that more than one sheet may pass.
+    /// Vertices of cells that more than one sheet may pass, and of sheets less than a cell apart.
     pub(super) close: Vec<bool>,
     sums: Vec<[i32; 4]>,
 }
 
 impl Net {
     /// Bytes for `vertices` of a tile, all arrays of this module together.
-    pub(super) const VERTEX_BYTES: usize = 3 * 12 + 2 * 12 + 3 + 16 + 6;
+    pub(super) const VERTEX_BYTES: usize = 3 * 12 + 2 * 12 + 3 + 16 + 6 + 4;
 
     /// Takes over the vertices of a tile that was just emitted, with positions inside cells in
     /// coordinates of the cell. `tile` are its cells without rings, `known` the samples that exist.
@@ -121,6 +122,33 @@ impl Net {
             }
         });
         self.close[block.edges.len()..].fill(true);
+        self.mark_thin(block, ny);
+    }
+
+    /// Where one sample alone lies between two vertices of a line of the lattice.
+    fn mark_thin(&mut self, block: &Block, ny: usize) {
+        for (axis, rows) in block.crossed.iter().enumerate() {
+            let (step, far) = ([0, 1, ny][axis], u32::from(axis == 0));
+            for (row, &here) in rows.iter().enumerate() {
+                let next = row + step;
+                let beyond = match axis {
+                    0 => here >> 1,
+                    1 if next % ny == 0 => 0,
+                    _ => rows.get(next).copied().unwrap_or(0),
+                };
+                let mut thin = here & beyond;
+                while thin != 0 {
+                    let x = thin.trailing_zeros();
+                    thin &= thin - 1;
+                    for v in [
+                        block.vertex(axis, x, row),
+                        block.vertex(axis, x + far, next),
+                    ] {
+                        self.close[v as usize] = true;
+                    }
+                }
+            }
+        }
     }
 
     /// Whether there are vertices of close sheets up to `rings` cells beyond the tile.
