@@ -12,7 +12,7 @@ mod tangle;
 
 use super::block::{Block, BlockOutput, BlockSamples, Style, below};
 use super::blocks::Blocks;
-use super::place::{gradient, unit};
+use super::place::{Placement, gradient, unit};
 use crate::budget::{Budget, Permit};
 use crate::error::{Error, ErrorKind, Result};
 use crate::field::Field;
@@ -56,6 +56,8 @@ impl<'a> Relaxer<'a> {
         style: Style,
         budget: &'a Budget,
     ) -> Option<Self> {
+        let mut net = Net::default();
+        net.rounding = rounding(&style.placement, field.grid().domain);
         (style.relax > 0).then(|| Self {
             field,
             blocks,
@@ -67,7 +69,7 @@ impl<'a> Relaxer<'a> {
             samples: BlockSamples::default(),
             piece: Piece::default(),
             out: BlockOutput::default(),
-            net: Net::default(),
+            net,
             settling: Settling::default(),
             memory: None,
         })
@@ -145,7 +147,8 @@ impl<'a> Relaxer<'a> {
         }
         let bytes = self.samples.values.len() * 4
             + self.block.vertices_max * (Net::VERTEX_BYTES + 12 + 4 + size_of::<EdgeKey>())
-            + self.block.triangles_max * (12 + Tangles::TRIANGLE_BYTES);
+            + self.block.triangles_max * (12 + Tangles::TRIANGLE_BYTES)
+            + Tangles::BYTES;
         self.memory = Some(
             self.budget
                 .take(bytes as u64, "relaxing a tile of dense surface")?,
@@ -241,4 +244,20 @@ impl<'a> Relaxer<'a> {
         unit(g)?;
         self.style.placement.normal(g, self.style.inside)
     }
+}
+
+/// By how much the coordinates of vertices change at most when they become numbers of 24 bits, in
+/// units of a place.
+fn rounding(placement: &Placement, domain: Box3) -> f64 {
+    let map = placement.map();
+    let largest = (0..8).fold(0.0f64, |most, corner| {
+        let at = std::array::from_fn(|a| {
+            let [low, high] = [domain.min[a] - 1, domain.max[a]];
+            f64::from(if corner >> a & 1 == 1 { high } else { low })
+        });
+        map.apply(at).into_iter().fold(most, |m, v| m.max(v.abs()))
+    });
+    let small = map.spacing().into_iter().fold(f64::INFINITY, f64::min);
+    // Half a unit in the last place, and places are rounded to whole units themselves.
+    largest / small * 2f64.powi(FINE as i32 - 24) + 1.0
 }

@@ -41,6 +41,8 @@ pub(super) struct Net {
     pub(super) rings: Vec<u8>,
     /// Vertices of cells that more than one sheet may pass, and of sheets less than a cell apart.
     pub(super) close: Vec<bool>,
+    /// By how much the coordinates change at most when they are written, in units of a place.
+    pub(super) rounding: f64,
     sums: Vec<[i32; 4]>,
 }
 

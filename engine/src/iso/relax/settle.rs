@@ -10,7 +10,7 @@ use super::surface::{Metric, Place, cross, dot, step, sum};
 use super::tangle::{self, Tangles};
 
 /// How often it is asked.
-const ROUNDS: u8 = 3;
+const ROUNDS: u8 = 2;
 
 /// Cells farther from a vertex than its triangles that those can lie which cross them: vertices
 /// move less than half a cell, so two triangles that meet began in cells beside each other.

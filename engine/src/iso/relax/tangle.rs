@@ -10,7 +10,7 @@ use super::settle::CROSSING_RINGS;
 use super::surface::{FINE, Place};
 
 /// How far from a crossing moves are taken back, in cells: along the way from pair to pair.
-const FAR: i32 = 2;
+const FAR: i32 = 4;
 
 /// Cells around a tile that decide what is taken back in it.
 pub(super) const RINGS: u8 = FAR as u8 + 1 + CROSSING_RINGS;
@@ -18,13 +18,24 @@ pub(super) const RINGS: u8 = FAR as u8 + 1 + CROSSING_RINGS;
 /// Not to be taken back.
 const OUT_OF_REACH: i32 = i32::MAX;
 
+/// Cells per axis of a tile with all around it, and a little more.
+const ACROSS: i32 = 66;
+
+/// In place of the first triangle of a cell: there is none, or nobody asks.
+const NONE: u32 = u32::MAX;
+const UNWANTED: u32 = u32::MAX - 1;
+
+/// The bounds of a triangle: its lowest and highest coordinates.
+type Bounds = [Place; 2];
+
 /// Buffers.
 #[derive(Debug, Default)]
 pub(super) struct Tangles {
-    /// Cells and the triangles in them, cell first.
-    bins: Vec<u64>,
-    /// A bit for every cell: triangles to be compared with others are in it.
-    wanted: Vec<u64>,
+    /// Per cell the last entry in it.
+    last: Vec<u32>,
+    /// The triangle by its place in `bounds`, and the entry before it in the same cell.
+    entries: Vec<[u32; 2]>,
+    bounds: Vec<(u32, Bounds)>,
     /// Per vertex how far it is from a crossing, in units of a place.
     reach: Vec<i32>,
     /// Per triangle the round in which a vertex of it came into reach, from 1.
@@ -35,7 +46,10 @@ pub(super) struct Tangles {
 
 impl Tangles {
     /// Bytes for each triangle of a tile.
-    pub(in super::super) const TRIANGLE_BYTES: usize = 4 * 8 + 4;
+    pub(in super::super) const TRIANGLE_BYTES: usize = 4 * 8 + 28 + 4;
+
+    /// Bytes beside those.
+    pub(in super::super) const BYTES: usize = 4 * (ACROSS * ACROSS * ACROSS) as usize;
 
     /// Calls `found` with every two triangles that cross and have a vertex among `fresh`, and all
     /// vertices at most `rings` cells beyond the tile.
@@ -47,14 +61,14 @@ impl Tangles {
         fresh: &[bool],
         mut found: impl FnMut([[u32; 3]; 2]),
     ) {
-        let is_fresh = |t: [u32; 3]| t.iter().any(|&v| fresh[v as usize]);
-        let bounds = |t| bounds(net, t);
-        self.fill(net, triangles, rings, bounds, |number| {
-            is_fresh(triangles[number])
-        });
-        self.each_pair(triangles, bounds, |first, second| {
-            let (p, q) = (triangles[first], triangles[second]);
-            if (is_fresh(p) || is_fresh(q)) && cross(&net.now, p, q) {
+        let is_fresh = |n: u32| {
+            let [a, b, c] = triangles[n as usize];
+            fresh[a as usize] || fresh[b as usize] || fresh[c as usize]
+        };
+        let bounds = |t| bounds(&net.now, t);
+        self.each_pair(net, triangles, rings, bounds, is_fresh, |first, second| {
+            let (p, q) = (triangles[first as usize], triangles[second as usize]);
+            if (is_fresh(first) || is_fresh(second)) && cross(&net.now, p, q, net.rounding) {
                 found([p, q]);
             }
         });
@@ -103,11 +117,15 @@ impl Tangles {
             if !any {
                 break;
             }
-            self.fill(net, triangles, RINGS, hull, |number| since[number] == round);
-            self.each_pair(triangles, hull, |first, second| {
-                let first_of = [since[first], since[second]].into_iter().filter(|&r| r > 0);
-                let (p, q) = (triangles[first], triangles[second]);
-                if first_of.min() == Some(round) && could_cross(net, p, q) {
+            let new = |n: u32| since[n as usize] == round;
+            self.each_pair(net, triangles, RINGS, hull, new, |first, second| {
+                // Not those that one of the two was compared with before.
+                let old = |n: u32| (1..round).contains(&since[n as usize]);
+                let (p, q) = (triangles[first as usize], triangles[second as usize]);
+                if (new(first) || new(second))
+                    && !(old(first) || old(second))
+                    && could_cross(net, p, q)
+                {
                     links.push([p, q]);
                 }
             });
@@ -119,60 +137,52 @@ impl Tangles {
         (self.links, self.since) = (links, since);
     }
 
-    /// Sorts the triangles near two sheets into the cells that their bounds meet, as far as there
-    /// is a triangle in the cell that is `wanted`, by its number.
-    fn fill(
+    /// Calls `f` once with the numbers of every two triangles near two sheets whose bounds meet in
+    /// a cell where a triangle is `wanted`.
+    #[inline(always)]
+    fn each_pair(
         &mut self,
         net: &Net,
         triangles: &[[u32; 3]],
         rings: u8,
-        bounds: impl Fn([u32; 3]) -> [Place; 2],
-        wanted: impl Fn(usize) -> bool,
+        bounds: impl Fn([u32; 3]) -> Bounds,
+        wanted: impl Fn(u32) -> bool,
+        mut f: impl FnMut(u32, u32),
     ) {
-        self.wanted.clear();
-        self.wanted.resize(1 << (3 * 7 - 6), 0);
-        self.bins.clear();
-        let is_near = |t: &[u32; 3]| {
-            t.iter().any(|&v| net.close[v as usize])
-                && t.iter().all(|&v| net.rings[v as usize] <= rings)
-        };
-        for (number, t) in triangles.iter().enumerate() {
-            if is_near(t) && wanted(number) {
-                each_bin(bounds(*t), |bin| {
-                    self.wanted[bin as usize >> 6] |= 1 << (bin & 63)
-                });
+        let (last, entries) = (&mut self.last, &mut self.entries);
+        last.clear();
+        last.resize((ACROSS * ACROSS * ACROSS) as usize, UNWANTED);
+        entries.clear();
+        self.bounds.clear();
+        for (number, &t) in (0..).zip(triangles) {
+            let [a, b, c] = [t[0] as usize, t[1] as usize, t[2] as usize];
+            let ring = net.rings[a].max(net.rings[b]).max(net.rings[c]);
+            if ring > rings || !(net.close[a] || net.close[b] || net.close[c]) {
+                continue;
+            }
+            let bounds = bounds(t);
+            self.bounds.push((number, bounds));
+            if wanted(number) {
+                each_cell(&bounds, |cell| last[cell] = NONE);
             }
         }
-        for (number, t) in triangles.iter().enumerate() {
-            if is_near(t) {
-                each_bin(bounds(*t), |bin| {
-                    if self.wanted[bin as usize >> 6] >> (bin & 63) & 1 == 1 {
-                        self.bins.push(u64::from(bin) << 32 | number as u64);
-                    }
-                });
-            }
-        }
-        self.bins.sort_unstable();
-    }
-
-    /// Calls `f` once with the numbers of every two triangles whose bounds meet in a cell.
-    fn each_pair(
-        &self,
-        triangles: &[[u32; 3]],
-        bounds: impl Fn([u32; 3]) -> [Place; 2],
-        mut f: impl FnMut(usize, usize),
-    ) {
-        for bin in self.bins.chunk_by(|a, b| a >> 32 == b >> 32) {
-            let number = |entry: u64| entry as u32 as usize;
-            for (i, &entry) in bin.iter().enumerate() {
-                for &other in &bin[..i] {
-                    let (first, second) = (number(entry), number(other));
-                    let boxes = (bounds(triangles[first]), bounds(triangles[second]));
-                    if meet_first(boxes, (entry >> 32) as u32) {
-                        f(first, second);
-                    }
+        for (place, (number, bounds)) in (0..).zip(&self.bounds) {
+            each_cell(bounds, |cell| {
+                if last[cell] == UNWANTED {
+                    return;
                 }
-            }
+                let mut at = last[cell];
+                while at != NONE {
+                    let [other, before] = entries[at as usize];
+                    let (other, others) = &self.bounds[other as usize];
+                    if meet_first(bounds, others, cell) {
+                        f(*number, *other);
+                    }
+                    at = before;
+                }
+                entries.push([place, last[cell]]);
+                last[cell] = entries.len() as u32 - 1;
+            });
         }
     }
 }
@@ -224,95 +234,153 @@ fn could_cross(net: &Net, p: [u32; 3], q: [u32; 3]) -> bool {
             same |= back >> i & 1 == 1 && start == now;
             places[i] = if back >> i & 1 == 1 { start } else { now };
         }
-        !same && cross(&places, [0, 1, 2], q)
+        !same && cross(&places, [0, 1, 2], q, net.rounding)
     })
 }
 
 /// Number of a cell of the tile.
 #[inline(always)]
-fn bin(cell: Place) -> u32 {
-    (cell[0] | cell[1] << 7 | cell[2] << 14) as u32
+fn number(x: i32, y: i32, z: i32) -> usize {
+    (x + ACROSS * (y + ACROSS * z)) as usize
 }
 
 /// Calls `f` with the cells that a box meets.
 #[inline(always)]
-fn each_bin(bounds: [Place; 2], mut f: impl FnMut(u32)) {
-    let [low, high] = bounds.map(|p| p.map(|v| v >> FINE));
-    for z in low[2]..=high[2] {
-        for y in low[1]..=high[1] {
-            for x in low[0]..=high[0] {
-                f(bin([x, y, z]));
+fn each_cell([low, high]: &Bounds, mut f: impl FnMut(usize)) {
+    for z in low[2] >> FINE..=high[2] >> FINE {
+        for y in low[1] >> FINE..=high[1] >> FINE {
+            for x in low[0] >> FINE..=high[0] >> FINE {
+                f(number(x, y, z));
             }
         }
     }
 }
 
-/// Lowest and highest coordinates of a triangle.
 #[inline(always)]
-fn bounds(net: &Net, t: [u32; 3]) -> [Place; 2] {
-    around(t.map(|v| net.now[v as usize]))
+fn bounds(places: &[Place], t: [u32; 3]) -> Bounds {
+    let (a, b, c) = (
+        places[t[0] as usize],
+        places[t[1] as usize],
+        places[t[2] as usize],
+    );
+    let (ab, ba) = (lower(a, b), upper(a, b));
+    [lower(ab, c), upper(ba, c)]
 }
 
 /// The same wherever its vertices are, moved or not.
-fn hull(net: &Net, t: [u32; 3]) -> [Place; 2] {
-    let [a, b] = bounds(net, t);
-    let [c, d] = around(t.map(|v| net.start[v as usize]));
+fn hull(net: &Net, t: [u32; 3]) -> Bounds {
+    let ([a, b], [c, d]) = (bounds(&net.now, t), bounds(&net.start, t));
+    [lower(a, c), upper(b, d)]
+}
+
+#[inline(always)]
+fn lower(a: Place, b: Place) -> Place {
+    [a[0].min(b[0]), a[1].min(b[1]), a[2].min(b[2])]
+}
+
+#[inline(always)]
+fn upper(a: Place, b: Place) -> Place {
+    [a[0].max(b[0]), a[1].max(b[1]), a[2].max(b[2])]
+}
+
+/// Whether two boxes meet and `cell` is the first where they do, so that a pair is looked at once.
+#[inline(always)]
+fn meet_first(p: &Bounds, q: &Bounds, cell: usize) -> bool {
+    let (low, high) = (upper(p[0], q[0]), lower(p[1], q[1]));
+    low[0] <= high[0]
+        && low[1] <= high[1]
+        && low[2] <= high[2]
+        && number(low[0] >> FINE, low[1] >> FINE, low[2] >> FINE) == cell
+}
+
+/// Whether a side of one that has no end in the other goes through it, or could once every
+/// coordinate is rounded, by less than `rounding`. Touching counts.
+#[inline(always)]
+fn cross(places: &[Place], p: [u32; 3], q: [u32; 3], rounding: f64) -> bool {
+    if !may_cross(places, p, q, rounding) || !may_cross(places, q, p, rounding) {
+        return false;
+    }
+    crossing(places, p, q, 0.0)
+        || crossing(places, q, p, 0.0)
+        || crossing(places, p, q, rounding)
+        || crossing(places, q, p, rounding)
+}
+
+/// False when the corners of `p` that are not in `q` lie on one side of it.
+#[inline(always)]
+fn may_cross(places: &[Place], p: [u32; 3], q: [u32; 3], rounding: f64) -> bool {
+    let [a, b, c] = corners(places, q);
+    let (mut above, mut below) = (false, false);
+    for v in p {
+        if q[0] == v || q[1] == v || q[2] == v {
+            continue;
+        }
+        let side = side(a, b, c, places[v as usize], rounding);
+        above |= side >= 0;
+        below |= side <= 0;
+    }
+    above && below
+}
+
+#[inline(always)]
+fn corners(places: &[Place], t: [u32; 3]) -> [Place; 3] {
     [
-        [0, 1, 2].map(|k| a[k].min(c[k])),
-        [0, 1, 2].map(|k| b[k].max(d[k])),
+        places[t[0] as usize],
+        places[t[1] as usize],
+        places[t[2] as usize],
     ]
 }
 
-#[inline(always)]
-fn around([a, b, c]: [Place; 3]) -> [Place; 2] {
-    let least = |k: usize| a[k].min(b[k]).min(c[k]);
-    let most = |k: usize| a[k].max(b[k]).max(c[k]);
-    [[least(0), least(1), least(2)], [most(0), most(1), most(2)]]
-}
-
-/// Whether two boxes meet and `at` is the first cell where they do, so that a pair is looked at
-/// once.
-#[inline(always)]
-fn meet_first(([p_low, p_high], [q_low, q_high]): ([Place; 2], [Place; 2]), at: u32) -> bool {
-    let low = |k: usize| p_low[k].max(q_low[k]);
-    let meet = |k: usize| low(k) <= p_high[k].min(q_high[k]);
-    meet(0) && meet(1) && meet(2) && bin([low(0) >> FINE, low(1) >> FINE, low(2) >> FINE]) == at
-}
-
-/// Whether a side of one that has no end in the other goes through it. Touching counts.
-#[inline(always)]
-fn cross(places: &[Place], p: [u32; 3], q: [u32; 3]) -> bool {
-    crossing(places, p, q) || crossing(places, q, p)
-}
-
 /// Whether a side of `p` goes through `q`.
-fn crossing(places: &[Place], p: [u32; 3], q: [u32; 3]) -> bool {
-    let place = |v: u32| places[v as usize];
-    let [a, b, c] = q.map(place);
-    (0..3).any(|k| {
-        let (from, to) = (p[k], p[(k + 1) % 3]);
-        if q.contains(&from) || q.contains(&to) {
-            return false;
+fn crossing(places: &[Place], p: [u32; 3], q: [u32; 3], rounding: f64) -> bool {
+    let [a, b, c] = corners(places, q);
+    for (from, to) in [(p[0], p[1]), (p[1], p[2]), (p[2], p[0])] {
+        if q[0] == from || q[1] == from || q[2] == from || q[0] == to || q[1] == to || q[2] == to {
+            continue;
         }
-        let (from, to) = (place(from), place(to));
-        let (here, there) = (side(a, b, c, from), side(a, b, c, to));
+        let (from, to) = (places[from as usize], places[to as usize]);
+        let here = side(a, b, c, from, rounding);
+        let there = side(a, b, c, to, rounding);
+        if here == 0 && there == 0 && rounding > 0.0 && opposed(corners(places, p), [a, b, c]) {
+            // Two sheets so near each other that rounding may mingle them.
+            return true;
+        }
         if here * there > 0 || (here == 0 && there == 0) {
-            return false;
+            continue;
         }
-        let around = [
-            side(from, to, a, b),
-            side(from, to, b, c),
-            side(from, to, c, a),
-        ];
-        around.iter().all(|&s| s >= 0) || around.iter().all(|&s| s <= 0)
-    })
+        let (x, y, z) = (
+            side(from, to, a, b, rounding),
+            side(from, to, b, c, rounding),
+            side(from, to, c, a, rounding),
+        );
+        if (x >= 0 && y >= 0 && z >= 0) || (x <= 0 && y <= 0 && z <= 0) {
+            return true;
+        }
+    }
+    false
 }
 
-/// The sign of the volume of a tetrahedron, exactly.
+/// Whether two triangles face against each other.
+#[cold]
+fn opposed(p: [Place; 3], q: [Place; 3]) -> bool {
+    let [p, q] = [p, q].map(|[a, b, c]| {
+        let step = |to: Place, k: usize| f64::from(to[k] - a[k]);
+        [0, 1, 2].map(|k| {
+            let (i, j) = ((k + 1) % 3, (k + 2) % 3);
+            step(b, i) * step(c, j) - step(b, j) * step(c, i)
+        })
+    });
+    p[0] * q[0] + p[1] * q[1] + p[2] * q[2] < 0.0
+}
+
+/// The sign of the volume of a tetrahedron, exactly; 0 where it can change when the coordinates are
+/// rounded.
 #[inline(always)]
-fn side(a: Place, b: Place, c: Place, d: Place) -> i32 {
-    let from = |p: Place| [0, 1, 2].map(|k| f64::from(p[k] - d[k]));
-    let (p, q, r) = (from(a), from(b), from(c));
+fn side(a: Place, b: Place, c: Place, d: Place, rounding: f64) -> i32 {
+    let from = |p: Place, k: usize| f64::from(p[k].wrapping_sub(d[k]));
+    let p = [from(a, 0), from(a, 1), from(a, 2)];
+    let q = [from(b, 0), from(b, 1), from(b, 2)];
+    let r = [from(c, 0), from(c, 1), from(c, 2)];
     let (mut volume, mut size) = (0.0, 0.0);
     for k in 0..3 {
         let (i, j) = ((k + 1) % 3, (k + 2) % 3);
@@ -320,11 +388,26 @@ fn side(a: Place, b: Place, c: Place, d: Place) -> i32 {
         volume += p[k] * (left - right);
         size += p[k].abs() * (left.abs() + right.abs());
     }
+    if rounding > 0.0 {
+        // Each difference changes by less than twice the rounding.
+        let area = area(p, q) + area(q, r) + area(r, p);
+        if volume.abs() <= 2.0 * rounding * area {
+            return 0;
+        }
+    }
     // A few roundings, each at most 2^-53 of the size.
     if volume.abs() > 1e-15 * size {
         return if volume > 0.0 { 1 } else { -1 };
     }
     side_exactly(a, b, c, d)
+}
+
+/// The sum of the coordinates of a vector product.
+#[inline(always)]
+fn area(p: [f64; 3], q: [f64; 3]) -> f64 {
+    (p[1] * q[2] - p[2] * q[1]).abs()
+        + (p[2] * q[0] - p[0] * q[2]).abs()
+        + (p[0] * q[1] - p[1] * q[0]).abs()
 }
 
 /// Places have 27 bits, so the volume has fewer than 90.
@@ -354,22 +437,34 @@ mod tests {
             [3 * u, 3 * u, u],
             [u / 2, u / 2, u / 9],
         ];
-        assert!(crossing(&places, [3, 4, 5], [0, 1, 2]));
-        assert!(crossing(&places, [0, 1, 2], [3, 4, 5]));
-        assert!(!crossing(&places, [6, 4, 5], [0, 1, 2]));
+        assert!(crossing(&places, [3, 4, 5], [0, 1, 2], 0.0));
+        assert!(crossing(&places, [0, 1, 2], [3, 4, 5], 0.0));
+        assert!(!crossing(&places, [6, 4, 5], [0, 1, 2], 0.0));
+        // Apart by less than the coordinates are rounded.
+        let near = [
+            [0, 0, 0],
+            [2 * u, 0, 0],
+            [0, 2 * u, 0],
+            [u / 2, u / 2, 3],
+            [u / 2, u / 2, u],
+            [3 * u, 3 * u, u],
+        ];
+        assert!(!cross(&near, [3, 4, 5], [0, 1, 2], 0.0));
+        assert!(!cross(&near, [3, 4, 5], [0, 1, 2], 1.0));
+        assert!(cross(&near, [3, 4, 5], [0, 1, 2], 4.0));
         // Neighbours do not cross in their common corner or side.
-        assert!(!crossing(&places, [0, 4, 5], [0, 1, 2]));
-        assert!(!crossing(&places, [0, 1, 4], [0, 1, 2]));
+        assert!(!crossing(&places, [0, 4, 5], [0, 1, 2], 0.0));
+        assert!(!crossing(&places, [0, 1, 4], [0, 1, 2], 0.0));
     }
 
     #[test]
     fn sides_are_exact() {
         // In a plane through large numbers, and one unit beside it.
         let (a, b, c) = ([1 << 26, 3, 1], [5, (1 << 26) + 1, 1], [9, 7, 1]);
-        assert_eq!(side(a, b, c, [12_345, 54_321, 1]), 0);
-        let above = side(a, b, c, [12_345, 54_321, 2]);
+        assert_eq!(side(a, b, c, [12_345, 54_321, 1], 0.0), 0);
+        let above = side(a, b, c, [12_345, 54_321, 2], 0.0);
         assert_eq!(above.abs(), 1);
-        assert_eq!(side(a, b, c, [12_345, 54_321, 0]), -above);
-        assert_eq!(side(b, a, c, [12_345, 54_321, 2]), -above);
+        assert_eq!(side(a, b, c, [12_345, 54_321, 0], 0.0), -above);
+        assert_eq!(side(b, a, c, [12_345, 54_321, 2], 0.0), -above);
     }
 }
