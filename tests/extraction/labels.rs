@@ -136,6 +136,7 @@ fn alone(array: &Array, label: u32, options: &ExtractLabels) -> Mesh {
         keys: options.keys,
         index_space: options.index_space,
         allow_empty: true,
+        relax: options.relax,
         ..Extract::default()
     };
     let mut sink = Collect::default();
@@ -197,6 +198,7 @@ fn options(rng: &mut Rng, domain: Box3) -> ExtractLabels {
     };
     ExtractLabels {
         smooth: rng.pick(&[0, 0, 1, 2, 4]),
+        relax: rng.pick(&[0, 0, 0, 1, 3]),
         region: rng.pick(&[None, None, Some(middle)]),
         boundary: rng.pick(&[Boundary::Cap, Boundary::Cut, Boundary::Tile]),
         normals: rng.pick(&[false, true]),
@@ -218,7 +220,12 @@ fn every_label_has_the_mesh_of_its_mask_alone() {
         let array = array(kinds, domain, edge, &mut rng);
         let options = options(&mut rng, domain);
         let what = format!("{round}: {kinds:?} by {edge}, {options:?}");
-        let budget = Budget::mib(rng.pick(&[24, 64])).with_threads(rng.pick(&[1, 2, 4]));
+        let memory = if options.relax > 0 {
+            [96, 256]
+        } else {
+            [24, 64]
+        };
+        let budget = Budget::mib(rng.pick(&memory)).with_threads(rng.pick(&[1, 2, 4]));
         let (meshes, _) = together(&array, &options, &budget).expect(&what);
         let labels: BTreeSet<u32> = array.values.iter().copied().filter(|&l| l != 0).collect();
         assert!(meshes.keys().all(|l| labels.contains(l)), "{what}");

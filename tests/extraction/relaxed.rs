@@ -211,6 +211,38 @@ fn rough_fields_keep_the_laws_and_do_not_cross() {
     }
 }
 
+/// Tissue of nearly the isovalue in noise, in whole numbers, as scans have it.
+#[test]
+fn noisy_scans_do_not_cross() {
+    let mut rng = Rng::new(74);
+    // So far from the origin that rounding moves vertices by a 30,000th of a cell.
+    let domain = Box3::new([400, -30, 7], [444, 14, 51]);
+    let mut triangles = 0;
+    for round in 0..6 {
+        let mut values = sampled(domain, |p| {
+            let [x, y, z] = p.map(|v| v / 7.0 + f64::from(round));
+            31.0 + 9.0 * (x.sin() * y.cos() + z.sin())
+        });
+        for value in &mut values {
+            *value = (*value + 6.0 * (rng.signed() + rng.signed())).round();
+        }
+        let field = dense(domain, values, 32);
+        let options = Extract {
+            iso: 31.5,
+            inside: Some(Inside::Above),
+            ..Extract::default()
+        };
+        let meshes = both(&field, &options);
+        let crossing = meshes
+            .each_ref()
+            .map(|m| crossing_pairs(&m.positions, &m.triangles));
+        assert_eq!(crossing, [0, 0], "{round}");
+        triangles += meshes[1].triangles.len();
+    }
+    figure(&format!("noisy scans: {triangles} triangles, none cross"));
+    assert!(triangles > 100_000, "{triangles}");
+}
+
 /// Values that have no order with the others: vertices beside them stay, nothing breaks.
 #[test]
 fn fields_with_holes_and_infinities_stay_sound() {

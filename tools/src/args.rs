@@ -320,7 +320,7 @@ pub(crate) struct Mesh {
     /// The surfaces of these segments of a label volume, in one pass: all (but 0), or 1,2,5; a file for each
     /// when OUT has {label} in its name, else one .ply whose faces have a label
     #[arg(long, value_name = "IDS", value_parser = parse::labels,
-          conflicts_with_all = ["iso", "label", "seed", "inside", "smooth", "simplify"])]
+          conflicts_with_all = ["iso", "label", "seed", "inside", "simplify"])]
     pub labels: Option<parse::LabelList>,
     /// Smooth the mask of each segment before it is meshed: passes of the kernel 1/4, 1/2, 1/4
     #[arg(long, value_name = "N", default_value_t = 0, requires = "labels",

@@ -6,9 +6,11 @@
 
 use super::block::BlockSamples;
 use super::blocks::Blocks;
+use super::relax::TILE_SAMPLES;
 use crate::error::Result;
-use crate::field::Labels;
-use crate::lattice::Box3;
+use crate::field::{Field, Labels, Range, Samples};
+use crate::lattice::{Box3, Grid};
+use crate::sample::Kind;
 use std::collections::HashMap;
 
 /// Most passes of smoothing: so far every value is a multiple of 2^-24, so every sum is exact and
@@ -51,11 +53,69 @@ impl Masks {
         i32::from(self.normals)
     }
 
+    /// Bytes that the labels and masks of a tile take at most, whose vertices move in some passes.
+    pub(super) fn tile_bytes(&self, passes: u8) -> u64 {
+        let across = TILE_SAMPLES + 2 * u64::from(self.smooth);
+        if passes > 0 { across.pow(3) * 12 } else { 0 }
+    }
+
     /// Bytes that the buffers of a thread take at most.
     pub(super) fn scratch_bytes(&self, edge: i32) -> u64 {
         let across = (edge + 1 + 2 * (self.margin() + self.smooth())) as u64;
         // Labels, a mask, two buffers of smoothing, and a list with a label for every point.
         across.pow(3) * (4 * 4 + 64)
+    }
+}
+
+/// The mask of one label as a field.
+pub(super) struct OneLabel<'a> {
+    pub(super) source: &'a dyn Labels,
+    pub(super) label: u32,
+    pub(super) masks: &'a Masks,
+}
+
+impl Field for OneLabel<'_> {
+    fn grid(&self) -> &Grid {
+        self.source.grid()
+    }
+
+    fn kind(&self) -> Kind {
+        Kind::Mask
+    }
+
+    fn block_edge(&self) -> u32 {
+        self.source.block_edge()
+    }
+
+    fn read(&self, region: Box3, out: &mut Samples<'_>) -> Result<()> {
+        let reach = self.masks.smooth();
+        let around = region.grow(reach, reach).intersect(&self.grid().domain);
+        let mut labels = vec![0; around.count() as usize];
+        self.source.read(around, &mut labels)?;
+        let is_it = |&l: &u32| f32::from(u8::from(l == self.label));
+        let mut mask: Vec<f32> = labels.iter().map(is_it).collect();
+        if reach > 0 {
+            let mut other = vec![0.0; mask.len()];
+            for _ in 0..reach {
+                smooth_once(&mut mask, &mut other, around);
+            }
+        }
+        let [nx, ny, nz] = region.size().map(|n| n as usize);
+        for k in 0..nz {
+            for j in 0..ny {
+                let at = [0, j as i32, k as i32];
+                let start = around.offset_of(std::array::from_fn(|a| region.min[a] + at[a]));
+                out.row_mut(j, k, nx)
+                    .copy_from_slice(&mask[start..start + nx]);
+            }
+        }
+        Ok(())
+    }
+
+    fn range(&self, _region: Box3) -> Result<Range> {
+        let mut range = Range::of(0.0);
+        range.add(1.0);
+        Ok(range)
     }
 }
 

@@ -8,9 +8,10 @@ use super::block::{Block, BlockOutput, BlockSamples, Style, TRIANGLES_SLACK};
 use super::blocks::{Blocks, Candidates};
 use super::dispatch::Level;
 use super::extract::Boundary;
-use super::label_mask::{LabelBlock, Masks, SMOOTH_MAX};
+use super::label_mask::{LabelBlock, Masks, OneLabel, SMOOTH_MAX};
 use super::numbering::Numbering;
 use super::place::Placement;
+use super::relax::{MAX_RELAX_PASSES, Relaxer, tile_of};
 use super::sweep::{Limits, piece_bytes, usual_piece_bytes};
 use crate::budget::{Budget, Permit};
 use crate::error::{Error, ErrorKind, Result};
@@ -29,6 +30,8 @@ pub struct ExtractLabels {
     /// Passes, 4 at most, of the kernel 1/4, 1/2, 1/4 along each axis over the mask of each label
     /// before it is meshed. Beyond the border of the domain the mask goes on as at the border.
     pub smooth: u8,
+    /// See [`Extract::relax`](super::Extract::relax).
+    pub relax: u8,
     /// See [`Extract::region`](super::Extract::region).
     pub region: Option<Box3>,
     /// See [`Extract::boundary`](super::Extract::boundary).
@@ -64,7 +67,7 @@ pub struct LabelStats {
 ///
 /// # Errors
 /// `EmptySurface` when a label that was asked for has no surface in the region, or there is no
-/// label at all; `BadInput` for a region outside the domain, or more than 4 passes of smoothing;
+/// label at all; `BadInput` for a region outside the domain, or too many passes;
 /// `BudgetExceeded` when the fronts of all labels do not fit; and what source and sink report.
 ///
 /// # Memory
@@ -80,6 +83,12 @@ pub fn extract_labels(
         return Err(Error::bad_input(format!(
             "{} passes of label smoothing; {SMOOTH_MAX} are the most",
             options.smooth
+        )));
+    }
+    if options.relax > MAX_RELAX_PASSES {
+        return Err(Error::bad_input(format!(
+            "{} passes of relaxation: {MAX_RELAX_PASSES} are the most",
+            options.relax
         )));
     }
     let grid = source.grid();
@@ -99,14 +108,16 @@ pub fn extract_labels(
         inside: Inside::Above,
         placement: Placement::new(map, grid.domain)?,
         normals: options.normals,
-        keys: options.keys,
-        relax: 0,
+        // Who moves vertices knows them by key.
+        keys: options.keys || options.relax > 0,
+        relax: options.relax,
         level: Level::detect(),
     };
     let limits = Limits::new(&blocks, &style, budget)?;
     let share = usual_piece_bytes(&style);
     let _shares = budget.take(
-        limits.threads as u64 * (share + masks.scratch_bytes(blocks.edge)),
+        limits.threads as u64
+            * (share + masks.scratch_bytes(blocks.edge) + masks.tile_bytes(options.relax)),
         "pieces of the meshes",
     )?;
     let decoded = source.blocks_decoded();
@@ -119,6 +130,7 @@ pub fn extract_labels(
         blocks,
         style,
         masks: &masks,
+        keys: options.keys,
         budget,
         share,
         blocks_a_ticket: limits.blocks,
@@ -296,6 +308,8 @@ struct Sweep<'a> {
     blocks: Blocks,
     style: Style,
     masks: &'a Masks,
+    /// Whether keys are written.
+    keys: bool,
     budget: &'a Budget,
     /// Bytes of parts that a thread may hold before it writes them.
     share: u64,
@@ -308,7 +322,8 @@ struct Sweep<'a> {
 
 /// What a thread has cut and not yet written.
 #[derive(Default)]
-struct Held {
+struct Held<'a> {
+    relaxer: Option<Relaxer<'a>>,
     parts: Vec<Part>,
     bytes: u64,
     visited: u64,
@@ -342,14 +357,20 @@ impl<'a> Sweep<'a> {
         let mut labels = LabelBlock::default();
         let mut block = Block::default();
         let mut samples = BlockSamples::default();
-        let mut held = Held::default();
+        let mut held = Held {
+            relaxer: Relaxer::new(self.source.grid(), self.blocks, self.style, self.budget),
+            ..Held::default()
+        };
         while let Some(ticket) = self.draw(&mut todo)? {
             for &at in &todo {
                 self.budget.check_cancelled()?;
                 let cells = self.blocks.cells_of(at, 0);
                 labels.gather(self.source, &self.blocks, cells, self.masks)?;
                 let far = self.masks.normals || self.masks.smooth > 0;
-                held.done_with.push(self.blocks.done_with(cells, far));
+                // Moving vertices reads around the block again.
+                if held.relaxer.is_none() {
+                    held.done_with.push(self.blocks.done_with(cells, far));
+                }
                 self.budget.progress().add(1);
                 held.visited += 1;
                 for n in 0..labels.found.len() {
@@ -389,7 +410,7 @@ impl<'a> Sweep<'a> {
     }
 
     /// Makes room for the part that `block` will become.
-    fn make_room(&self, block: &Block, ticket: u64, held: &mut Held) -> Result<()> {
+    fn make_room(&self, block: &Block, ticket: u64, held: &mut Held<'_>) -> Result<()> {
         let (vertices, triangles) = (block.vertices_max, block.triangles_max + TRIANGLES_SLACK);
         // The lists of both faces of three axes hold a vertex three times at most.
         let bytes =
@@ -422,6 +443,9 @@ impl<'a> Sweep<'a> {
         if self.style.keys {
             piece.keys.reserve_exact(vertices);
         }
+        if self.style.relax > 0 {
+            piece.unmoved.reserve_exact(vertices);
+        }
         let borrowed = std::array::from_fn(|a| at[a] > self.blocks.range.min[a]);
         let mut out = BlockOutput::default();
         block.emit(samples, &self.style, borrowed, &mut piece, &mut out);
@@ -433,8 +457,37 @@ impl<'a> Sweep<'a> {
         }
     }
 
+    /// Moves the vertices of what is held, label by label: a tile has many blocks.
+    fn relax(&self, held: &mut Held<'_>) -> Result<()> {
+        let Some(relaxer) = &mut held.relaxer else {
+            return Ok(());
+        };
+        let tile = |part: &Part| (part.label, tile_of(part.at, self.blocks.edge));
+        let mut order: Vec<usize> = (0..held.parts.len()).collect();
+        order.sort_by_key(|&n| tile(&held.parts[n]));
+        for n in order {
+            self.budget.check_cancelled()?;
+            let Part {
+                label, at, piece, ..
+            } = &mut held.parts[n];
+            let field = OneLabel {
+                source: self.source,
+                label: *label,
+                masks: self.masks,
+            };
+            let all = 0..piece.positions.len();
+            relaxer.relax((&field, *label), *at, piece, all)?;
+            piece.unmoved = Vec::new();
+            if !self.keys {
+                piece.keys = Vec::new();
+            }
+        }
+        Ok(())
+    }
+
     /// Numbers and writes what is held, once it is the turn of `ticket`; `last` ends the turn.
-    fn write(&self, ticket: u64, held: &mut Held, last: bool) -> Result<()> {
+    fn write(&self, ticket: u64, held: &mut Held<'_>, last: bool) -> Result<()> {
+        self.relax(held)?;
         let mut state = self.lock();
         while state.turn != ticket {
             if state.error.is_some() {

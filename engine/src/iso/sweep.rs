@@ -233,7 +233,7 @@ impl<'k> Sweep<'_, 'k> {
     fn run(&self) -> Result<()> {
         let mut block = Block::default();
         let mut samples = BlockSamples::default();
-        let mut relaxer = Relaxer::new(self.field, self.blocks, self.style, self.budget);
+        let mut relaxer = Relaxer::new(self.field.grid(), self.blocks, self.style, self.budget);
         let mut todo = Vec::new();
         let mut state = self.lock();
         loop {
@@ -341,7 +341,7 @@ impl<'k> Sweep<'_, 'k> {
         block.emit(samples, &self.style, borrowed, &mut batch.piece, &mut out);
         if let Some(relaxer) = relaxer {
             let range = out.first as usize..(out.first + out.count) as usize;
-            relaxer.relax(at, &mut batch.piece, range)?;
+            relaxer.relax((self.field, 0), at, &mut batch.piece, range)?;
         }
         batch.blocks.push((at, out));
         Ok(batch)

@@ -71,7 +71,7 @@ pub(super) fn walk(
         walker.plant(seed)?;
     }
     let mut scratch = Scratch {
-        relaxer: Relaxer::new(field, blocks, style, budget),
+        relaxer: Relaxer::new(field.grid(), blocks, style, budget),
         ..Scratch::default()
     };
     while let Some((_, (at, seeds))) = walker.pending.pop_first() {
@@ -162,7 +162,7 @@ impl Walker<'_> {
         );
         if let Some(relaxer) = &mut s.relaxer {
             let range = 0..s.piece.positions.len();
-            relaxer.relax(at, &mut s.piece, range)?;
+            relaxer.relax((self.field, 0), at, &mut s.piece, range)?;
         }
         s.sheets.of(&s.piece);
 

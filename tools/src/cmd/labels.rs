@@ -134,6 +134,7 @@ fn options(args: &Mesh, field: &dyn brickmarch::Field) -> Result<ExtractLabels> 
             _ => None,
         },
         smooth: args.label_smooth,
+        relax: args.smooth.relax(),
         region: cells(args, field)?,
         boundary: match args.boundary {
             BoundaryMode::Cap => Boundary::Cap,

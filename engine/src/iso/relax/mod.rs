@@ -16,7 +16,7 @@ use super::place::{Placement, gradient, unit};
 use crate::budget::{Budget, Permit};
 use crate::error::{Error, ErrorKind, Result};
 use crate::field::Field;
-use crate::lattice::Box3;
+use crate::lattice::{Box3, Grid};
 use crate::mesh::{EdgeKey, Piece};
 use net::Net;
 use settle::{Settling, settle};
@@ -30,15 +30,23 @@ pub const MAX_RELAX_PASSES: u8 = 5;
 /// Cells per edge of a tile.
 const TILE: i32 = 32;
 
+/// Most samples along an edge of a tile with all around it.
+pub(super) const TILE_SAMPLES: u64 = 66;
+
+/// The tile of the block at these block coordinates, of `edge` cells.
+pub(super) fn tile_of(at: [i32; 3], edge: i32) -> [i32; 3] {
+    let level = (TILE / edge).max(1).ilog2();
+    at.map(|v| v >> level)
+}
+
 /// Moves the vertices of blocks; each thread has its own.
 pub(super) struct Relaxer<'a> {
-    field: &'a dyn Field,
     blocks: Blocks,
     style: Style,
     budget: &'a Budget,
     metric: Metric,
-    /// Blocks of the tile at hand, in coordinates of tiles.
-    at: Option<[i32; 3]>,
+    /// Number of the field and blocks of the tile at hand, in coordinates of tiles.
+    at: Option<(u32, [i32; 3])>,
     block: Block,
     samples: BlockSamples,
     piece: Piece,
@@ -51,15 +59,14 @@ pub(super) struct Relaxer<'a> {
 impl<'a> Relaxer<'a> {
     /// None where the style does not ask for relaxation.
     pub(super) fn new(
-        field: &'a dyn Field,
+        grid: &Grid,
         blocks: Blocks,
         style: Style,
         budget: &'a Budget,
     ) -> Option<Self> {
         let mut net = Net::default();
-        net.rounding = rounding(&style.placement, field.grid().domain);
+        net.rounding = rounding(&style.placement, grid.domain);
         (style.relax > 0).then(|| Self {
-            field,
             blocks,
             style,
             budget,
@@ -75,26 +82,28 @@ impl<'a> Relaxer<'a> {
         })
     }
 
-    /// Moves the vertices `range` of `piece`, those of the block `at`.
+    /// Moves the vertices `range` of `piece`, those of the block `at`. Of several fields on one grid
+    /// each has its `number`.
     ///
     /// # Errors
     /// What the field reports; `BudgetExceeded` when a tile does not fit; `Damaged` when the field
     /// gives different samples when it is read again.
     pub(super) fn relax(
         &mut self,
+        (field, number): (&dyn Field, u32),
         at: [i32; 3],
         piece: &mut Piece,
         range: Range<usize>,
     ) -> Result<()> {
         let level = (TILE / self.blocks.edge).max(1).ilog2();
-        let tile = at.map(|v| v >> level);
-        if self.at != Some(tile) {
+        let tile = tile_of(at, self.blocks.edge);
+        if self.at != Some((number, tile)) {
             self.at = None;
             let cells = self.blocks.cells_of(tile.map(|v| v << level), level);
-            if self.build(cells, false)? {
-                self.build(cells, true)?;
+            if self.build(field, cells, false)? {
+                self.build(field, cells, true)?;
             }
-            self.at = Some(tile);
+            self.at = Some((number, tile));
         }
         piece
             .unmoved
@@ -125,11 +134,11 @@ impl<'a> Relaxer<'a> {
 
     /// Meshes the tile and moves its vertices. True when that must be done again, because sheets
     /// of the surface are close to each other here.
-    fn build(&mut self, cells: Box3, close: bool) -> Result<bool> {
+    fn build(&mut self, field: &dyn Field, cells: Box3, close: bool) -> Result<bool> {
         let rings = self.style.relax + settle::rings(close);
         let wide = self.blocks.around(cells, i32::from(rings));
         self.blocks
-            .gather_around(self.field, wide, 1, &mut self.samples)?;
+            .gather_around(field, wide, 1, &mut self.samples)?;
         let style = Style {
             placement: self.style.placement.in_cells(),
             normals: false,
