@@ -48,7 +48,7 @@ pub(super) struct Net {
 
 impl Net {
     /// Bytes for `vertices` of a tile, all arrays of this module together.
-    pub(super) const VERTEX_BYTES: usize = 3 * 12 + 2 * 12 + 3 + 16 + 6 + 4;
+    pub(super) const VERTEX_BYTES: usize = 3 * 12 + 2 * 12 + 3 + 16 + 6;
 
     /// Takes over the vertices of a tile that was just emitted, with positions inside cells in
     /// coordinates of the cell. `tile` are its cells without rings, `known` the samples that exist.

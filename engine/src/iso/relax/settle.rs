@@ -2,37 +2,29 @@
 //! around the vertex was, or through another triangle.
 //!
 //! A refused vertex goes back to its start, which may in turn spoil a triangle with vertices that
-//! stay moved. So it is asked a fixed number of times, and what depends on what stays local. What
-//! still crosses then goes back together with all that could cross in turn (`tangle.rs`).
+//! stay moved. So refusals spread, and to stay local they spread no faster than a cell at a time:
+//! where triangles are bad, their vertices go back as much later as these are apart. What happens
+//! to a vertex up to some time depends on what is no farther away than that.
 
 use super::net::{Net, kind};
-use super::surface::{Metric, Place, cross, dot, step, sum};
-use super::tangle::{self, Tangles};
+use super::surface::{FINE, Metric, Place, cross, dot, step, sum};
+use super::tangle::Tangles;
 
-/// How often it is asked.
-const ROUNDS: u8 = 2;
+/// How far refusals spread that were made for the shape of a triangle, in cells.
+const SHAPE_RINGS: u8 = 4;
 
-/// Cells farther from a vertex than its triangles that those can lie which cross them: vertices
-/// move less than half a cell, so two triangles that meet began in cells beside each other.
-pub(super) const CROSSING_RINGS: u8 = 1;
+/// How far those spread that were made because triangles cross.
+const CROSSING_RINGS: u8 = 10;
+
+/// Steps of time in which refusals spread by a cell.
+const STEPS: u8 = 2;
+
+/// The time of a vertex that is not refused.
+const NEVER: u8 = u8::MAX;
 
 /// Cells around a tile that decide what is refused in it; `close` where sheets may be close.
 pub(super) fn rings(close: bool) -> u8 {
-    if close {
-        ROUNDS * (1 + CROSSING_RINGS) + tangle::RINGS
-    } else {
-        ROUNDS
-    }
-}
-
-/// The same for what is asked after this round.
-fn rings_after(round: u8, close: bool) -> u8 {
-    let left = ROUNDS - round - 1;
-    if close {
-        left * (1 + CROSSING_RINGS) + tangle::RINGS
-    } else {
-        left
-    }
+    if close { CROSSING_RINGS } else { SHAPE_RINGS }
 }
 
 /// Square of the sine of 20 degrees: an angle beyond is good enough, even where it was better.
@@ -63,9 +55,9 @@ fn against(a: [f32; 3], b: [f32; 3]) -> bool {
 pub(super) struct Settling {
     /// Per vertex the least angle around it at the start.
     narrowest: Vec<f32>,
-    refused: Vec<bool>,
-    /// Vertices whose triangles have yet to be compared with others: all that moved, then those
-    /// that were refused in the round before.
+    /// Per vertex when it goes back.
+    due: Vec<u8>,
+    /// Vertices whose triangles have yet to be looked at: all that moved, then those that went back.
     fresh: Vec<bool>,
     tangles: Tangles,
 }
@@ -92,55 +84,95 @@ pub(super) fn settle(
     s.fresh.clear();
     let moved = net.now.iter().zip(&net.start).map(|(a, b)| a != b);
     s.fresh.extend(moved);
-    for round in 0..ROUNDS {
-        s.refused.clear();
-        s.refused.resize(count, false);
-        let mut any = false;
-        let rings = rings_after(round, close) + 1;
-        for t in triangles {
-            let t = t.map(|v| v as usize);
-            if t.iter().any(|&v| net.rings[v] > rings)
-                || t.iter().all(|&v| net.now[v] == net.start[v])
-            {
-                continue;
-            }
-            let (angle, normal) = least_angle(metric, t.map(|v| net.now[v]));
-            let out = outward(net, t);
-            let turned = against(normal, out) && {
-                // Where the surface bends within a cell, normals tell little: against the start too.
-                let (_, before) = least_angle(metric, t.map(|v| net.start[v]));
-                against(normal, before)
-            };
-            for v in t {
-                if turned || (angle < ENOUGH && angle < s.narrowest[v]) {
-                    s.refused[v] = true;
-                    any = true;
-                }
-            }
+    s.due.clear();
+    s.due.resize(count, NEVER);
+    let last = rings(close) * STEPS;
+    for time in 0..=last {
+        if time > 0 && !go_back(net, time, s) {
+            continue;
         }
-        if close {
-            let rings = rings + CROSSING_RINGS;
+        // What is farther away comes too late.
+        let rings = (last - time).div_ceil(STEPS);
+        if time < SHAPE_RINGS * STEPS {
+            refuse_shapes(net, metric, triangles, (time, rings), s);
+        }
+        if close && time < last {
+            let (due, net) = (&mut s.due, &*net);
             s.tangles
                 .each_crossing(net, triangles, rings, &s.fresh, |pair| {
-                    any = true;
-                    for v in pair.into_iter().flatten() {
-                        s.refused[v as usize] = true;
+                    let all = pair.as_flattened();
+                    let then = time + delay(net, all);
+                    for &v in all.iter().filter(|_| then <= last) {
+                        let due = &mut due[v as usize];
+                        *due = then.min(*due);
                     }
                 });
         }
-        if !any {
-            return;
+    }
+}
+
+/// Takes back the moves that are due. False when there are none.
+fn go_back(net: &mut Net, time: u8, s: &mut Settling) -> bool {
+    let mut any = false;
+    for v in 0..s.due.len() {
+        s.fresh[v] = s.due[v] == time && net.now[v] != net.start[v];
+        if s.fresh[v] {
+            net.refuse(v);
+            any = true;
         }
-        for v in 0..count {
-            if s.refused[v] {
-                net.refuse(v);
+    }
+    any
+}
+
+/// Looks at the shapes of the triangles with fresh vertices.
+#[inline(always)]
+fn refuse_shapes(
+    net: &Net,
+    metric: &Metric,
+    triangles: &[[u32; 3]],
+    (time, rings): (u8, u8),
+    s: &mut Settling,
+) {
+    for &numbers in triangles {
+        let [a, b, c] = numbers;
+        let t = [a as usize, b as usize, c as usize];
+        if !(s.fresh[t[0]] || s.fresh[t[1]] || s.fresh[t[2]])
+            || net.rings[t[0]].max(net.rings[t[1]]).max(net.rings[t[2]]) > rings
+        {
+            continue;
+        }
+        let now = [net.now[t[0]], net.now[t[1]], net.now[t[2]]];
+        let (angle, normal) = least_angle(metric, now);
+        let turned = against(normal, outward(net, t)) && {
+            // Where the surface bends within a cell, normals tell little: against the start too.
+            let start = [net.start[t[0]], net.start[t[1]], net.start[t[2]]];
+            let (_, before) = least_angle(metric, start);
+            against(normal, before)
+        };
+        if !turned && angle >= ENOUGH {
+            continue;
+        }
+        let then = time + delay(net, &numbers);
+        for v in t {
+            if then <= SHAPE_RINGS * STEPS && (turned || angle < s.narrowest[v]) {
+                s.due[v] = then.min(s.due[v]);
             }
         }
-        std::mem::swap(&mut s.fresh, &mut s.refused);
     }
-    if close {
-        s.tangles.undo(net, triangles, &s.fresh);
-    }
+}
+
+/// How long it takes from one of the vertices to another.
+fn delay(net: &Net, all: &[u32]) -> u8 {
+    let apart = |k: usize| {
+        let at = |&v: &u32| net.start[v as usize][k];
+        let low = all.iter().map(at).fold(i32::MAX, i32::min);
+        let high = all.iter().map(at).fold(i32::MIN, i32::max);
+        high - low
+    };
+    let apart = apart(0).max(apart(1)).max(apart(2));
+    let step = (1 << FINE) / i32::from(STEPS);
+    // No triangle is longer than a cell, so this is at most a few.
+    (apart + step - 1).div_euclid(step).clamp(1, 100) as u8
 }
 
 /// The direction in which a triangle should face. On a cap only the vertices of the cap tell: the
@@ -155,7 +187,6 @@ fn outward(net: &Net, t: [usize; 3]) -> [f32; 3] {
 
 #[cfg(test)]
 mod tests {
-    use super::super::surface::FINE;
     use super::*;
     use crate::lattice::Affine;
 

@@ -1,22 +1,7 @@
-//! Triangles that go through each other, and how all of them get back to where none did.
-//!
-//! Taking back the moves of the vertices of two triangles that cross can make others cross. Which,
-//! nobody knows before; but those that could, whichever of their vertices go back, can be told.
-//! Going from each crossing from pair to pair that could cross, and taking back all of their moves,
-//! leaves nothing that crosses, as far as one goes.
+//! Triangles that go through each other.
 
 use super::net::Net;
-use super::settle::CROSSING_RINGS;
 use super::surface::{FINE, Place};
-
-/// How far from a crossing moves are taken back, in cells: along the way from pair to pair.
-const FAR: i32 = 4;
-
-/// Cells around a tile that decide what is taken back in it.
-pub(super) const RINGS: u8 = FAR as u8 + 1 + CROSSING_RINGS;
-
-/// Not to be taken back.
-const OUT_OF_REACH: i32 = i32::MAX;
 
 /// Cells per axis of a tile with all around it, and a little more.
 const ACROSS: i32 = 66;
@@ -36,17 +21,11 @@ pub(super) struct Tangles {
     /// The triangle by its place in `bounds`, and the entry before it in the same cell.
     entries: Vec<[u32; 2]>,
     bounds: Vec<(u32, Bounds)>,
-    /// Per vertex how far it is from a crossing, in units of a place.
-    reach: Vec<i32>,
-    /// Per triangle the round in which a vertex of it came into reach, from 1.
-    since: Vec<u32>,
-    /// Pairs that could cross.
-    links: Vec<[[u32; 3]; 2]>,
 }
 
 impl Tangles {
     /// Bytes for each triangle of a tile.
-    pub(in super::super) const TRIANGLE_BYTES: usize = 4 * 8 + 28 + 4;
+    pub(in super::super) const TRIANGLE_BYTES: usize = 4 * 8 + 28;
 
     /// Bytes beside those.
     pub(in super::super) const BYTES: usize = 4 * (ACROSS * ACROSS * ACROSS) as usize;
@@ -65,76 +44,12 @@ impl Tangles {
             let [a, b, c] = triangles[n as usize];
             fresh[a as usize] || fresh[b as usize] || fresh[c as usize]
         };
-        let bounds = |t| bounds(&net.now, t);
-        self.each_pair(net, triangles, rings, bounds, is_fresh, |first, second| {
+        self.each_pair(net, triangles, rings, is_fresh, |first, second| {
             let (p, q) = (triangles[first as usize], triangles[second as usize]);
             if (is_fresh(first) || is_fresh(second)) && cross(&net.now, p, q, net.rounding) {
                 found([p, q]);
             }
         });
-    }
-
-    /// Takes back the moves around what crosses. Only triangles with a vertex among `fresh` can.
-    pub(super) fn undo(&mut self, net: &mut Net, triangles: &[[u32; 3]], fresh: &[bool]) {
-        let mut reach = std::mem::take(&mut self.reach);
-        reach.clear();
-        reach.resize(net.now.len(), OUT_OF_REACH);
-        let mut any = false;
-        self.each_crossing(net, triangles, RINGS, fresh, |pair| {
-            any = true;
-            for v in pair.into_iter().flatten() {
-                reach[v as usize] = 0;
-            }
-        });
-        if any {
-            self.spread(net, triangles, &mut reach);
-            for (v, &far) in reach.iter().enumerate() {
-                if far != OUT_OF_REACH {
-                    net.refuse(v);
-                }
-            }
-        }
-        self.reach = reach;
-    }
-
-    /// From the vertices of crossings to those of all pairs that could cross, one by one.
-    fn spread(&mut self, net: &Net, triangles: &[[u32; 3]], reach: &mut [i32]) {
-        let mut links = std::mem::take(&mut self.links);
-        let mut since = std::mem::take(&mut self.since);
-        links.clear();
-        since.clear();
-        since.resize(triangles.len(), 0);
-        let hull = |t| hull(net, t);
-        for round in 1.. {
-            let mut any = false;
-            for (t, since) in triangles.iter().zip(&mut since) {
-                let reached = t.iter().any(|&v| reach[v as usize] != OUT_OF_REACH);
-                if *since == 0 && reached {
-                    *since = round;
-                    any = true;
-                }
-            }
-            if !any {
-                break;
-            }
-            let new = |n: u32| since[n as usize] == round;
-            self.each_pair(net, triangles, RINGS, hull, new, |first, second| {
-                // Not those that one of the two was compared with before.
-                let old = |n: u32| (1..round).contains(&since[n as usize]);
-                let (p, q) = (triangles[first as usize], triangles[second as usize]);
-                if (new(first) || new(second))
-                    && !(old(first) || old(second))
-                    && could_cross(net, p, q)
-                {
-                    links.push([p, q]);
-                }
-            });
-            while links
-                .iter()
-                .fold(false, |any, link| any | pull(net, link, reach))
-            {}
-        }
-        (self.links, self.since) = (links, since);
     }
 
     /// Calls `f` once with the numbers of every two triangles near two sheets whose bounds meet in
@@ -145,7 +60,6 @@ impl Tangles {
         net: &Net,
         triangles: &[[u32; 3]],
         rings: u8,
-        bounds: impl Fn([u32; 3]) -> Bounds,
         wanted: impl Fn(u32) -> bool,
         mut f: impl FnMut(u32, u32),
     ) {
@@ -160,7 +74,7 @@ impl Tangles {
             if ring > rings || !(net.close[a] || net.close[b] || net.close[c]) {
                 continue;
             }
-            let bounds = bounds(t);
+            let bounds = bounds(&net.now, t);
             self.bounds.push((number, bounds));
             if wanted(number) {
                 each_cell(&bounds, |cell| last[cell] = NONE);
@@ -185,57 +99,6 @@ impl Tangles {
             });
         }
     }
-}
-
-/// Brings the vertices of a pair into reach if one of them is; whether one came nearer.
-fn pull(net: &Net, link: &[[u32; 3]; 2], reach: &mut [i32]) -> bool {
-    let mut any = false;
-    for &from in link.as_flattened() {
-        let far = reach[from as usize];
-        if far == OUT_OF_REACH {
-            continue;
-        }
-        for &to in link.as_flattened() {
-            let (a, b) = (net.start[from as usize], net.start[to as usize]);
-            let step = (0..3).fold(0, |most, k| most.max((a[k] - b[k]).abs()));
-            let there = far.saturating_add(step);
-            if there <= FAR << FINE && there < reach[to as usize] {
-                reach[to as usize] = there;
-                any = true;
-            }
-        }
-    }
-    any
-}
-
-/// Whether two triangles cross when some of their vertices, or none, go back to the start.
-fn could_cross(net: &Net, p: [u32; 3], q: [u32; 3]) -> bool {
-    // One after the other, those of both once.
-    let mut all = [p[0], p[1], p[2], 0, 0, 0];
-    let mut count = 3;
-    let q = q.map(|v| {
-        (0..count).find(|&i| all[i] == v).unwrap_or_else(|| {
-            all[count] = v;
-            count += 1;
-            count - 1
-        })
-    });
-    let q = q.map(|i| i as u32);
-    if count < 5 {
-        // With a side in common they only touch.
-        return false;
-    }
-    let all = &all[..count];
-    let mut places = [[0; 3]; 6];
-    (0..1u32 << count).any(|back| {
-        let mut same = false;
-        for (i, &v) in all.iter().enumerate() {
-            let (start, now) = (net.start[v as usize], net.now[v as usize]);
-            same |= back >> i & 1 == 1 && start == now;
-            places[i] = if back >> i & 1 == 1 { start } else { now };
-        }
-        !same && cross(&places, [0, 1, 2], q, net.rounding)
-    })
 }
 
 /// Number of a cell of the tile.
@@ -265,12 +128,6 @@ fn bounds(places: &[Place], t: [u32; 3]) -> Bounds {
     );
     let (ab, ba) = (lower(a, b), upper(a, b));
     [lower(ab, c), upper(ba, c)]
-}
-
-/// The same wherever its vertices are, moved or not.
-fn hull(net: &Net, t: [u32; 3]) -> Bounds {
-    let ([a, b], [c, d]) = (bounds(&net.now, t), bounds(&net.start, t));
-    [lower(a, c), upper(b, d)]
 }
 
 #[inline(always)]
