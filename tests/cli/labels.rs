@@ -81,6 +81,7 @@ fn files_per_segment_have_the_bytes_of_the_segment_alone() {
         ("ply", "--normals --keys"),
         ("obj", ""),
         ("stl", "--space index"),
+        ("ply", "--normals --smooth quality --passes 2"),
     ] {
         let (count, _) = compare(&scratch, "v.bvol", "all", ending, more);
         assert_eq!(count, 5);
