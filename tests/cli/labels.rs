@@ -48,7 +48,7 @@ fn compare(
     more: &str,
 ) -> (usize, Value) {
     let line = format!(
-        "mesh @{volume} @all-{{label}}.{ending} --labels {which} {more} --measure --json -q --mem 64MiB"
+        "mesh @{volume} @all-{{label}}.{ending} --labels {which} {more} --overwrite --measure --json -q --mem 64MiB"
     );
     let together = run(scratch, &line).success().json();
     let labels = together["labels"].as_array().expect("a list").clone();
