@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules of the engine and what each may use beside itself.
-const MAY_USE: [(&str, &[&str]); 13] = [
+const MAY_USE: [(&str, &[&str]); 14] = [
     ("cpu", &[]),
     ("error", &[]),
     ("budget", &["error"]),
@@ -32,6 +32,7 @@ const MAY_USE: [(&str, &[&str]); 13] = [
             "error", "budget", "lattice", "sample", "field", "mesh", "iso",
         ],
     ),
+    ("refine", &["error", "budget", "field", "mesh", "model"]),
     (
         "raw_file",
         &["error", "budget", "lattice", "sample", "field"],

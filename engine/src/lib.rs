@@ -15,6 +15,7 @@ pub mod model;
 pub mod query;
 pub mod raw_file;
 pub mod redistance;
+pub mod refine;
 pub mod sample;
 pub mod store;
 

@@ -489,3 +489,87 @@ fn wrong_scenes_and_options_are_one_error_with_place_and_remedy() {
         ],
     );
 }
+
+/// Vertices and faces of a binary PLY without anything else.
+fn halves(ply: &[u8], vertices: usize) -> (Vec<[f32; 3]>, &[u8]) {
+    let end = b"end_header\n";
+    let header = ply.windows(end.len()).position(|w| w == end);
+    let body = &ply[header.expect("a header") + end.len()..];
+    let (points, faces) = body.split_at(12 * vertices);
+    let number = |b: &[u8]| f32::from_le_bytes(b.try_into().expect("4 bytes"));
+    let point = |p: &[u8]| [number(&p[..4]), number(&p[4..8]), number(&p[8..])];
+    (points.chunks_exact(12).map(point).collect(), faces)
+}
+
+#[test]
+fn refined_vertices_lie_on_the_formula() {
+    let scratch = Scratch::new("model-refine");
+    scratch.write("ball.toml", format!("resolution = 23\n{BOUNDS}{BALL}"));
+    let mut meshes = ["", "--refine"].map(|how| {
+        let found = json(
+            &scratch,
+            &format!("model @ball.toml @out.ply {how} --overwrite"),
+        );
+        let count = found["vertices"].as_u64().expect("a count") as usize;
+        let ply = bytes(&scratch.path("out.ply"));
+        let (points, faces) = halves(&ply, count);
+        (points, faces.to_vec())
+    });
+    let off = |points: &[[f32; 3]]| {
+        let far = |p: &[f32; 3]| p.map(|v| f64::from(v).powi(2)).iter().sum::<f64>().sqrt();
+        points
+            .iter()
+            .map(|p| (far(p) - 0.7).abs())
+            .fold(0.0, f64::max)
+    };
+    let [(plain, faces), (refined, same)] = &mut meshes;
+    assert!(faces == same, "other triangles");
+    // By the curvature of the field between two samples; then by the rounding of positions. A
+    // vertex that stays a thousandth of a cell from a sample is off by as much.
+    let margin = 1e-3 * 2.0 / 23.0;
+    assert!(off(plain) > 5.0 * margin, "{}", off(plain));
+    assert!(off(refined) < margin, "{}", off(refined));
+    let middle = |points: &mut Vec<[f32; 3]>| {
+        let mut all: Vec<f64> = points.iter().map(|&p| off(&[p])).collect();
+        all.sort_by(f64::total_cmp);
+        all[all.len() / 2]
+    };
+    assert!(middle(plain) > 1e-5 && middle(refined) < 1e-7);
+}
+
+#[test]
+fn refining_keeps_the_topology_whatever_the_threads() {
+    let scratch = Scratch::new("model-refine-topology");
+    for (scene, resolution) in [
+        ("tanglecube", 40),
+        ("barth_sextic", 60),
+        ("machine_part", 70),
+    ] {
+        let scene = workspace().join(format!("data-gen/scenes/{scene}.toml"));
+        let line = format!("model {} @M.ply --resolution {resolution}", scene.display());
+        let plain = json(
+            &scratch,
+            &format!("{line} --overwrite").replace("@M", "@plain"),
+        );
+        let refined = json(
+            &scratch,
+            &format!("{line} --refine --threads 2 --overwrite").replace("@M", "@refined"),
+        );
+        json(
+            &scratch,
+            &format!("{line} --refine --threads 1 --mem 32MiB --overwrite").replace("@M", "@again"),
+        );
+        let [a, b, c] =
+            ["plain", "refined", "again"].map(|name| bytes(&scratch.path(&format!("{name}.ply"))));
+        assert!(a != b && b == c, "{line}");
+        for same in ["vertices", "triangles", "euler", "closed"] {
+            assert_eq!(plain[same], refined[same], "{line}: {same}");
+        }
+        let found = json(&scratch, "check @refined.ply --crossings all");
+        assert_eq!(found["sound"], true, "{found}");
+        assert_eq!(found["crossings"]["crossing_pairs"], 0, "{line}: {found}");
+    }
+    scratch.write("ball.toml", format!("resolution = 20\n{BOUNDS}{BALL}"));
+    let refused = brickmarch(words(&scratch, "model @ball.toml @out.bvol --refine"));
+    assert!(refused.code != Some(0) && refused.stderr.contains("--refine"));
+}

@@ -430,6 +430,10 @@ pub(crate) struct Model {
     pub normals: bool,
     #[command(flatten)]
     pub smooth: Smooth,
+    /// Meshes: move every vertex along its edge of the lattice onto the surface of the scene itself, not of its
+    /// samples
+    #[arg(long, conflicts_with = "smooth")]
+    pub refine: bool,
     /// Meshes: fewer triangles: a share of them, or as few as an error in the units of the mesh allows
     #[arg(long, value_name = "N%|ERROR", value_parser = parse::simplify)]
     pub simplify: Option<parse::Simplify>,

@@ -162,10 +162,25 @@ impl Model {
     pub fn value(&self, point: [f64; 3]) -> Result<f64> {
         let mut out = [0.0];
         let [x, y, z] = point.map(|c| [c]);
-        let mut room = ROOM.take();
-        self.tape.values([&x, &y, &z], &mut out, &mut room)?;
-        ROOM.replace(room);
+        self.values([&x, &y, &z], &mut out)?;
         Ok(out[0])
+    }
+
+    /// Values at world points, given by their coordinates along each axis: as many as `out` takes.
+    ///
+    /// # Errors
+    /// When there are fewer coordinates; what sampled data reports.
+    pub fn values(&self, points: [&[f64]; 3], out: &mut [f64]) -> Result<()> {
+        if points.iter().any(|p| p.len() < out.len()) {
+            return Err(Error::bad_input(format!(
+                "{} values of fewer points",
+                out.len()
+            )));
+        }
+        let mut room = ROOM.take();
+        self.tape.values(points, out, &mut room)?;
+        ROOM.replace(room);
+        Ok(())
     }
 
     /// Gradient at a world point; at a crease the middle of those beside it.

@@ -12,6 +12,7 @@ use brickmarch::budget::human_bytes;
 use brickmarch::iso::{Extract, extract};
 use brickmarch::mesh::{Layout, Piece, Totals};
 use brickmarch::model::{AttributeField, Convention, Model, NearSurface};
+use brickmarch::refine::Refined;
 use brickmarch::store::{VolumeInfo, VolumeSpec, write_fields};
 use brickmarch::{Error, Field, MeshSink, Result, SampleType};
 use brickmarch_formats::scene::Scene;
@@ -92,6 +93,7 @@ fn is_volume(args: &Args) -> bool {
 fn check_usage(args: &Args, to_volume: bool) -> Result<()> {
     let mesh_only = [
         ("--normals", args.normals),
+        ("--refine", args.refine),
         ("--simplify", args.simplify.is_some()),
         ("--smooth", args.smooth.smooth.is_some()),
         ("--picture", args.shot.picture.is_some()),
@@ -268,6 +270,7 @@ fn mesh(
         iso: model.convention().iso(),
         normals: args.normals || args.shot.picture.is_some(),
         relax: args.smooth.relax(),
+        keys: args.refine,
         allow_empty: args.allow_empty,
         ..Extract::default()
     };
@@ -301,7 +304,11 @@ fn mesh(
             let space = (model as &dyn Field, false);
             let (stats, done) =
                 simplified(args.simplify, space, &args.out, &job.budget, sink, |sink| {
-                    extract(model, &options, &job.budget, sink)
+                    if !args.refine {
+                        return extract(model, &options, &job.budget, sink);
+                    }
+                    let mut refined = Refined::new(model, false, &job.budget, sink);
+                    extract(model, &options, &job.budget, &mut refined)
                 })?;
             thinned = done;
             Ok(stats)
