@@ -1,5 +1,10 @@
 //! The parts of scan and emit that are written by hand for AVX2 and AVX-512.
 
+#![expect(
+    unsafe_code,
+    reason = "loads and stores of vectors, of places whose size was checked"
+)]
+
 use super::*;
 use crate::iso::block::{MASK_SHIFT, below};
 use crate::iso::vertices::{AXIS_SHIFT, Placed, Y_SHIFT, Z_SHIFT};
