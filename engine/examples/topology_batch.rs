@@ -3,6 +3,7 @@
 //! ```text
 //! topology_batch grids KIND COUNT SEED BATCH    writes random grids
 //! topology_batch mesh BATCH MESHES              meshes them, open at the border, in index space
+//! topology_batch smooth BATCH MESHES            the same in three passes of relaxation
 //! ```
 //!
 //! Kinds: `cell` (one cell), `r5` `r9` `r33` (white noise, by samples per axis), `k5` (magnitudes
@@ -27,8 +28,11 @@ fn main() -> Result<()> {
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
     match args[..] {
         ["grids", kind, count, seed, batch] => grids(kind, count.parse()?, seed.parse()?, batch),
-        ["mesh", batch, meshes] => mesh(batch, meshes),
-        _ => Err("usage: topology_batch grids KIND COUNT SEED BATCH | mesh BATCH MESHES".into()),
+        ["mesh", batch, meshes] => mesh(batch, meshes, 0),
+        ["smooth", batch, meshes] => mesh(batch, meshes, 3),
+        _ => Err(
+            "usage: topology_batch grids KIND COUNT SEED BATCH | mesh BATCH MESHES | smooth BATCH MESHES".into(),
+        ),
     }
 }
 
@@ -140,7 +144,7 @@ impl Reader<'_> {
     }
 }
 
-fn mesh(batch: &str, meshes: &str) -> Result<()> {
+fn mesh(batch: &str, meshes: &str, relax: u8) -> Result<()> {
     let bytes = fs::read(batch)?;
     let mut reader = Reader(&bytes);
     let mut out = Vec::new();
@@ -162,6 +166,7 @@ fn mesh(batch: &str, meshes: &str) -> Result<()> {
             iso,
             inside: Some(Inside::Above),
             boundary: Boundary::Cut,
+            relax,
             index_space: true,
             allow_empty: true,
             ..Extract::default()
