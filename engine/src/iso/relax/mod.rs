@@ -22,7 +22,6 @@ use net::Net;
 use settle::{Settling, settle};
 use std::ops::Range;
 use surface::{FINE, Metric, Surface, UNIT};
-use tangle::Tangles;
 
 /// Most passes: a tile with all its rings is as large as a block can be.
 pub const MAX_RELAX_PASSES: u8 = 5;
@@ -54,6 +53,8 @@ pub(super) struct Relaxer<'a> {
     net: Net,
     settling: Settling,
     memory: Option<Permit>,
+    /// For the search of triangles that cross.
+    more: Option<Permit>,
 }
 
 impl<'a> Relaxer<'a> {
@@ -79,6 +80,7 @@ impl<'a> Relaxer<'a> {
             net,
             settling: Settling::default(),
             memory: None,
+            more: None,
         })
     }
 
@@ -150,14 +152,13 @@ impl<'a> Relaxer<'a> {
         piece.keys.clear();
         piece.own.clear();
         piece.triangles.clear();
-        self.memory = None;
+        (self.memory, self.more) = (None, None);
         if !self.block.scan(&self.samples, &style) {
             return Ok(false);
         }
         let bytes = self.samples.values.len() * 4
             + self.block.vertices_max * (Net::VERTEX_BYTES + 12 + 4 + size_of::<EdgeKey>())
-            + self.block.triangles_max * (12 + Tangles::TRIANGLE_BYTES)
-            + Tangles::BYTES;
+            + self.block.triangles_max * 12;
         self.memory = Some(
             self.budget
                 .take(bytes as u64, "relaxing a tile of dense surface")?,
@@ -175,6 +176,13 @@ impl<'a> Relaxer<'a> {
         );
         if !close && self.net.is_close_within(settle::rings(false)) {
             return Ok(true);
+        }
+        if close {
+            let bytes = self.settling.tangles.prepare(&self.net, &piece.triangles);
+            self.more = Some(
+                self.budget
+                    .take(bytes, "relaxing a tile of dense surface")?,
+            );
         }
         let surface = Surface::new(&self.samples, style.iso, self.metric);
         let (net, settling) = (&mut self.net, &mut self.settling);

@@ -59,7 +59,7 @@ pub(super) struct Settling {
     due: Vec<u8>,
     /// Vertices whose triangles have yet to be looked at: all that moved, then those that went back.
     fresh: Vec<bool>,
-    tangles: Tangles,
+    pub(super) tangles: Tangles,
 }
 
 /// Refuses moves of the vertices of a tile.

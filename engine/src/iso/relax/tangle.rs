@@ -2,9 +2,16 @@
 
 use super::net::Net;
 use super::surface::{FINE, Place};
+use std::ops::Range;
 
 /// Cells per axis of a tile with all around it, and a little more.
 const ACROSS: i32 = 66;
+
+/// Cells along z that are looked at together: a part of the tile at a time, to save memory.
+const SLAB: i32 = 8;
+
+/// Cells of a slab.
+const SLAB_CELLS: usize = (ACROSS * ACROSS * SLAB) as usize;
 
 /// In place of the first triangle of a cell: there is none, or nobody asks.
 const NONE: u32 = u32::MAX;
@@ -21,14 +28,33 @@ pub(super) struct Tangles {
     /// The triangle by its place in `bounds`, and the entry before it in the same cell.
     entries: Vec<[u32; 2]>,
     bounds: Vec<(u32, Bounds)>,
+    /// Per slab the first triangle near two sheets that can meet it, and the one after the last.
+    spans: Vec<[u32; 2]>,
 }
 
 impl Tangles {
-    /// Bytes for each triangle of a tile.
-    pub(in super::super) const TRIANGLE_BYTES: usize = 4 * 8 + 28;
-
-    /// Bytes beside those.
-    pub(in super::super) const BYTES: usize = 4 * (ACROSS * ACROSS * ACROSS) as usize;
+    /// Finds which triangles near two sheets belong to which slab, for all that follows; bytes that
+    /// the buffers will take.
+    pub(super) fn prepare(&mut self, net: &Net, triangles: &[[u32; 3]]) -> u64 {
+        self.spans.clear();
+        self.spans
+            .resize((ACROSS as usize).div_ceil(SLAB as usize), [u32::MAX, 0]);
+        for (number, &t) in (0..).zip(triangles) {
+            if t.iter().any(|&v| net.close[v as usize]) {
+                let [low, high] = bounds(&net.start, t).map(|p| p[2]);
+                // Wherever they go from there.
+                let low = (low - (1 << (FINE - 1))).max(0) >> FINE;
+                let high = (high + (1 << (FINE - 1))) >> FINE;
+                for span in &mut self.spans[(low / SLAB) as usize..=(high / SLAB) as usize] {
+                    *span = [span[0].min(number), span[1].max(number + 1)];
+                }
+            }
+        }
+        let spans = self.spans.iter().map(|s| s[1].saturating_sub(s[0]));
+        let longest = u64::from(spans.max().unwrap_or(0));
+        // Some four cells for each triangle.
+        longest * (4 * 8 + size_of::<(u32, Bounds)>() as u64) + 4 * SLAB_CELLS as u64
+    }
 
     /// Calls `found` with every two triangles that cross and have a vertex among `fresh`, and all
     /// vertices at most `rings` cells beyond the tile.
@@ -63,57 +89,78 @@ impl Tangles {
         wanted: impl Fn(u32) -> bool,
         mut f: impl FnMut(u32, u32),
     ) {
-        let (last, entries) = (&mut self.last, &mut self.entries);
-        last.clear();
-        last.resize((ACROSS * ACROSS * ACROSS) as usize, UNWANTED);
-        entries.clear();
-        self.bounds.clear();
-        for (number, &t) in (0..).zip(triangles) {
+        let near = |t: [u32; 3]| {
             let [a, b, c] = [t[0] as usize, t[1] as usize, t[2] as usize];
-            let ring = net.rings[a].max(net.rings[b]).max(net.rings[c]);
-            if ring > rings || !(net.close[a] || net.close[b] || net.close[c]) {
+            (net.close[a] || net.close[b] || net.close[c])
+                && net.rings[a].max(net.rings[b]).max(net.rings[c]) <= rings
+        };
+        let (last, entries) = (&mut self.last, &mut self.entries);
+        for (slab, &[from, to]) in (0..).zip(&self.spans) {
+            let slab = slab * SLAB..(slab + 1) * SLAB;
+            let mut any = false;
+            for number in from..to {
+                let t = triangles[number as usize];
+                if !wanted(number) || !near(t) {
+                    continue;
+                }
+                if !any {
+                    last.clear();
+                    last.resize(SLAB_CELLS, UNWANTED);
+                    any = true;
+                }
+                each_cell(&bounds(&net.now, t), &slab, |cell| last[cell] = NONE);
+            }
+            if !any {
                 continue;
             }
-            let bounds = bounds(&net.now, t);
-            self.bounds.push((number, bounds));
-            if wanted(number) {
-                each_cell(&bounds, |cell| last[cell] = NONE);
-            }
-        }
-        for (place, (number, bounds)) in (0..).zip(&self.bounds) {
-            each_cell(bounds, |cell| {
-                if last[cell] == UNWANTED {
-                    return;
+            entries.clear();
+            self.bounds.clear();
+            for number in from..to {
+                let t = triangles[number as usize];
+                if !near(t) {
+                    continue;
                 }
-                let mut at = last[cell];
-                while at != NONE {
-                    let [other, before] = entries[at as usize];
-                    let (other, others) = &self.bounds[other as usize];
-                    if meet_first(bounds, others, cell) {
-                        f(*number, *other);
+                let place = self.bounds.len() as u32;
+                let its = bounds(&net.now, t);
+                let mut kept = false;
+                each_cell(&its, &slab, |cell| {
+                    if last[cell] == UNWANTED {
+                        return;
                     }
-                    at = before;
+                    let mut at = last[cell];
+                    while at != NONE {
+                        let [other, before] = entries[at as usize];
+                        let (other, others) = &self.bounds[other as usize];
+                        if meet_first(&its, others, slab.start, cell) {
+                            f(number, *other);
+                        }
+                        at = before;
+                    }
+                    entries.push([place, last[cell]]);
+                    last[cell] = entries.len() as u32 - 1;
+                    kept = true;
+                });
+                if kept {
+                    self.bounds.push((number, its));
                 }
-                entries.push([place, last[cell]]);
-                last[cell] = entries.len() as u32 - 1;
-            });
+            }
         }
     }
 }
 
-/// Number of a cell of the tile.
+/// Number of a cell of a slab; beyond all others for a cell below it.
 #[inline(always)]
 fn number(x: i32, y: i32, z: i32) -> usize {
     (x + ACROSS * (y + ACROSS * z)) as usize
 }
 
-/// Calls `f` with the cells that a box meets.
+/// Calls `f` with the cells of a slab that a box meets.
 #[inline(always)]
-fn each_cell([low, high]: &Bounds, mut f: impl FnMut(usize)) {
-    for z in low[2] >> FINE..=high[2] >> FINE {
+fn each_cell([low, high]: &Bounds, slab: &Range<i32>, mut f: impl FnMut(usize)) {
+    for z in (low[2] >> FINE).max(slab.start)..=(high[2] >> FINE).min(slab.end - 1) {
         for y in low[1] >> FINE..=high[1] >> FINE {
             for x in low[0] >> FINE..=high[0] >> FINE {
-                f(number(x, y, z));
+                f(number(x, y, z - slab.start));
             }
         }
     }
@@ -142,12 +189,12 @@ fn upper(a: Place, b: Place) -> Place {
 
 /// Whether two boxes meet and `cell` is the first where they do, so that a pair is looked at once.
 #[inline(always)]
-fn meet_first(p: &Bounds, q: &Bounds, cell: usize) -> bool {
+fn meet_first(p: &Bounds, q: &Bounds, first: i32, cell: usize) -> bool {
     let (low, high) = (upper(p[0], q[0]), lower(p[1], q[1]));
     low[0] <= high[0]
         && low[1] <= high[1]
         && low[2] <= high[2]
-        && number(low[0] >> FINE, low[1] >> FINE, low[2] >> FINE) == cell
+        && number(low[0] >> FINE, low[1] >> FINE, (low[2] >> FINE) - first) == cell
 }
 
 /// Whether a side of one that has no end in the other goes through it, or could once every
