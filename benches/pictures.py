@@ -69,7 +69,7 @@ def main():
                 else:
                     joined.append(word)
             report = run(args.program, command, volume, picture, *joined, "--overwrite")
-            cells.append(f"{report["cpu"]:.1f} s, {report['peak_rss_bytes'] / 2**20:.0f} MiB")
+            cells.append(f"{report['cpu']:.1f} s, {report['peak_rss_bytes'] / 2**20:.0f} MiB")
         print(f"| {name} | {' x '.join(map(str, size))} | " + " | ".join(cells) + " |", flush=True)
 
 
