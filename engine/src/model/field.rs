@@ -202,8 +202,8 @@ impl Model {
     pub fn world_range(&self, low: [f64; 3], high: [f64; 3]) -> Result<Range> {
         let cube = [0, 1, 2].map(|a| Interval::new(low[a], high[a]));
         let room = &mut Room::default();
-        let known = self.tape.range(cube, room)?;
-        let tight = self.tape.tight_range(cube, known, room)?;
+        self.tape.range(cube, room)?;
+        let tight = self.tape.tight_range(cube, room)?;
         Ok(self.rounded(tight))
     }
 
@@ -429,7 +429,7 @@ impl Field for Model {
         let mut range = tape.range(cube, &mut room)?;
         let small = region.size().into_iter().all(|n| n <= CLOSE);
         if small && !self.is_settled(range) {
-            range = tape.tight_range(cube, range, &mut room)?;
+            range = tape.tight_range(cube, &mut room)?;
         }
         ROOM.replace(room);
         Ok(self.rounded(range))

@@ -357,7 +357,12 @@ impl Interval {
             out = out.hull(Interval::point(1.0));
         }
         out.nan = false;
-        out.widened()
+        let out = out.widened();
+        // Room for rounding must not make it negative: a power of it would then be unknown.
+        Interval {
+            lo: out.lo.max(0.0),
+            ..out
+        }
     }
 
     pub(super) fn atan2(self, o: Interval) -> Interval {

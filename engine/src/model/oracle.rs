@@ -13,4 +13,7 @@ pub(super) trait Oracle: Send + Sync + std::fmt::Debug {
 
     /// Ranges of the partial derivatives over a box; the derivatives where the box is a point.
     fn slopes(&self, cube: [Interval; 3]) -> Result<[Interval; 3]>;
+
+    /// How far rounding may move a value in a box from the exact one.
+    fn rounding(&self, cube: [Interval; 3]) -> Result<f64>;
 }

@@ -234,4 +234,10 @@ impl Oracle for Profile {
         let slope = |a: usize| Interval::point(sign * (p[a] - foot[a]) / length);
         Ok([slope(0), slope(1), Interval::ZERO])
     }
+
+    fn rounding(&self, [x, y, _]: [Interval; 3]) -> Result<f64> {
+        let ends = self.segments.as_flattened().as_flattened();
+        let largest = ends.iter().fold(0.0f64, |most, v| most.max(v.abs()));
+        Ok(1e-12 * (x.magnitude() + y.magnitude() + largest))
+    }
 }

@@ -12,6 +12,9 @@ use std::sync::Arc;
 /// Most samples that are read for one batch of points.
 const MAX_READ: u64 = 1 << 18;
 
+/// Up to this many samples a range is that of the values, beyond it that which the field knows.
+const MAX_EXACT: u64 = 1 << 15;
+
 /// A field to be used as a shape.
 #[derive(Clone)]
 pub struct Sampled {
@@ -85,78 +88,211 @@ impl Sampled {
         })
     }
 
-    /// The oracle takes world points, so that a shape may ask for its value alone.
-    fn index_of(&self, p: [f64; 3]) -> [f64; 3] {
-        let (low, high) = self.ends();
-        let index = self.world_to_index.apply(p);
-        [0, 1, 2].map(|a| index[a].clamp(low[a], high[a]))
+    /// Index of a world point, kept inside of the samples.
+    #[inline(always)]
+    fn index_of(&self, x: f64, y: f64, z: f64, a: usize) -> f64 {
+        let row = &self.world_to_index.rows[a];
+        let domain = self.field.grid().domain;
+        let (low, high) = (f64::from(domain.min[a]), f64::from(domain.max[a]) - 1.0);
+        (row[0] * x + row[1] * y + row[2] * z + row[3]).clamp(low, high)
     }
 
-    /// Lattice points around a box of world points.
-    fn reach(&self, cube: [Interval; 3]) -> Option<Box3> {
+    /// Indices that a box of world points may have, not kept inside of the samples; nothing where it
+    /// has no usable ends. A little more than they are, for what rounding may do to an index.
+    fn indices(&self, cube: [Interval; 3]) -> Option<[Interval; 3]> {
         if cube.iter().any(|i| i.nan || i.magnitude() > 1e15) {
             return None;
         }
+        Some(self.world_to_index.rows.map(|row| {
+            let sum = (0..3).fold(Interval::point(row[3]), |sum, b| {
+                sum.add(cube[b].mul(Interval::point(row[b])))
+            });
+            let slack = 1e-9 * (1.0 + sum.magnitude());
+            Interval::new(sum.lo - slack, sum.hi + slack)
+        }))
+    }
+
+    /// Lattice points of the cells that hold these indices.
+    fn reach(&self, indices: [Interval; 3]) -> Box3 {
         let domain = self.field.grid().domain;
         let mut out = domain;
         for a in 0..3 {
-            let row = self.world_to_index.rows[a];
-            let mut sum = Interval::point(row[3]);
-            for b in 0..3 {
-                sum = sum.add(cube[b].mul(Interval::point(row[b])));
-            }
             let last = f64::from(domain.max[a]) - 1.0;
             let clamp = |v: f64| v.clamp(f64::from(domain.min[a]), last);
-            // A little more, for what rounding may do to an index.
-            let slack = 1e-9 * (1.0 + sum.magnitude());
-            out.min[a] = clamp((sum.lo - slack).floor()) as i32;
-            out.max[a] = clamp((sum.hi + slack).floor() + 1.0) as i32 + 1;
+            out.min[a] = clamp(indices[a].lo.floor()) as i32;
+            out.max[a] = clamp(indices[a].hi.floor() + 1.0) as i32 + 1;
             // At the last sample the cell before it is used.
             out.min[a] = out.min[a].min((domain.max[a] - 2).max(domain.min[a]));
             // Before the first one the cell behind it.
             out.max[a] = out.max[a].max((out.min[a] + 2).min(domain.max[a]));
         }
-        Some(out)
+        out
     }
 
-    fn block(&self, region: Box3) -> Result<Vec<f32>> {
+    fn block(&self, region: Box3) -> Result<Block> {
         let mut values = vec![0.0; region.count() as usize];
         self.field
             .read(region, &mut Samples::dense(&mut values, region))?;
-        Ok(values)
-    }
-
-    /// Value and slopes in index space from a block that holds the cell of `p`.
-    fn cell(&self, p: [f64; 3], region: Box3, values: &[f32]) -> (f64, [f64; 3]) {
         let domain = self.field.grid().domain;
-        let mut at = [0i32; 3];
-        let mut t = [0.0; 3];
-        let mut step = [0usize; 3];
         let size = region.size().map(|n| n as usize);
         let strides = [1, size[0], size[0] * size[1]];
-        for a in 0..3 {
-            let last_cell = (domain.max[a] - 2).max(domain.min[a]);
-            at[a] = (p[a].floor() as i32).clamp(domain.min[a], last_cell);
-            t[a] = p[a] - f64::from(at[a]);
-            if domain.max[a] - domain.min[a] > 1 {
-                step[a] = strides[a];
-            }
+        Ok(Block {
+            values,
+            region,
+            last_cell: [0, 1, 2].map(|a| (domain.max[a] - 2).max(domain.min[a])),
+            step: [0, 1, 2].map(|a| {
+                let single = domain.max[a] - domain.min[a] == 1;
+                if single { 0 } else { strides[a] }
+            }),
+            strides,
+        })
+    }
+
+    /// The part of the field that a box of indices covers, when it is small enough to be looked at
+    /// sample by sample.
+    fn part(&self, indices: [Interval; 3], region: Box3) -> Result<Option<Part>> {
+        if region.count() > MAX_EXACT {
+            return Ok(None);
         }
-        let first = region.offset_of(at);
-        let corner: [f64; 8] = std::array::from_fn(|c| {
-            let shift: usize = (0..3).map(|a| (c >> a & 1) * step[a]).sum();
-            f64::from(values[first + shift])
-        });
-        let along = |t: f64, a: f64, b: f64| a * (1.0 - t) + b * t;
-        let x: [f64; 4] = std::array::from_fn(|i| along(t[0], corner[2 * i], corner[2 * i + 1]));
+        let found = self.field.range(region)?;
+        if found.has_nan || !found.min.is_finite() || !found.max.is_finite() {
+            return Ok(None);
+        }
+        let values = self.block(region)?.values;
+        Ok(Some(Part {
+            values: values.into_iter().map(f64::from).collect(),
+            size: region.size().map(|n| n as usize),
+            ends: [0, 1, 2].map(|a| {
+                // In the first cell and in the last one, which may be the same.
+                let (first, last) = (f64::from(region.min[a]), f64::from(region.max[a]) - 2.0);
+                [indices[a].lo - first, indices[a].hi - last].map(|t| t.clamp(0.0, 1.0))
+            }),
+            largest: f64::from(found.min.abs().max(found.max.abs())),
+        }))
+    }
+}
+
+/// Samples around the points of one call.
+struct Block {
+    values: Vec<f32>,
+    region: Box3,
+    last_cell: [i32; 3],
+    /// From a sample to the next one along each axis; 0 where there is only one.
+    step: [usize; 3],
+    strides: [usize; 3],
+}
+
+#[inline(always)]
+fn along(t: f64, a: f64, b: f64) -> f64 {
+    a * (1.0 - t) + b * t
+}
+
+impl Block {
+    /// Corners of the cell of an index, and the place in it.
+    #[inline(always)]
+    fn cell(&self, p: [f64; 3]) -> ([f64; 8], [f64; 3]) {
+        let (mut first, mut t) = (0, [0.0; 3]);
+        for a in 0..3 {
+            // An index is not below the region, where to cut is to round down; nor is a cell.
+            let cell = (p[a].floor() as i32).min(self.last_cell[a]);
+            t[a] = p[a] - f64::from(cell);
+            first += (cell - self.region.min[a]) as usize * self.strides[a];
+        }
+        let [x, y, z] = self.step;
+        let v = |at: usize| f64::from(self.values[first + at]);
+        let corners = [
+            v(0),
+            v(x),
+            v(y),
+            v(x + y),
+            v(z),
+            v(x + z),
+            v(y + z),
+            v(x + y + z),
+        ];
+        (corners, t)
+    }
+
+    #[inline(always)]
+    fn value(&self, p: [f64; 3]) -> f64 {
+        let (c, t) = self.cell(p);
+        let low = along(t[1], along(t[0], c[0], c[1]), along(t[0], c[2], c[3]));
+        let high = along(t[1], along(t[0], c[4], c[5]), along(t[0], c[6], c[7]));
+        along(t[2], low, high)
+    }
+
+    /// Slopes in index space.
+    fn slopes(&self, p: [f64; 3]) -> [f64; 3] {
+        let (c, t) = self.cell(p);
+        let x: [f64; 4] = std::array::from_fn(|i| along(t[0], c[2 * i], c[2 * i + 1]));
         let y = [along(t[1], x[0], x[1]), along(t[1], x[2], x[3])];
-        let dx: [f64; 4] = std::array::from_fn(|i| corner[2 * i + 1] - corner[2 * i]);
-        let slopes = [
+        let dx: [f64; 4] = std::array::from_fn(|i| c[2 * i + 1] - c[2 * i]);
+        [
             along(t[2], along(t[1], dx[0], dx[1]), along(t[1], dx[2], dx[3])),
             along(t[2], x[1] - x[0], x[3] - x[2]),
             y[1] - y[0],
-        ];
-        (along(t[2], y[0], y[1]), slopes)
+        ]
+    }
+}
+
+/// Samples of the cells that a box of indices meets, and where the box begins in the first and ends
+/// in the last of them. Between samples values are linear along each axis, so the extremes over the
+/// box are at its corners and where it meets the lattice.
+#[derive(Clone)]
+struct Part {
+    values: Vec<f64>,
+    size: [usize; 3],
+    ends: [[f64; 2]; 3],
+    largest: f64,
+}
+
+impl Part {
+    /// Puts the values at the ends of the box in the place of the samples beyond them.
+    fn cut(&mut self, axis: usize) {
+        let n = self.size[axis];
+        if n < 2 {
+            return;
+        }
+        let stride: usize = self.size[..axis].iter().product();
+        let [t, u] = self.ends[axis];
+        for group in self.values.chunks_exact_mut(stride * n) {
+            for i in 0..stride {
+                let at = |k: usize| i + k * stride;
+                let low = along(t, group[at(0)], group[at(1)]);
+                let high = along(u, group[at(n - 2)], group[at(n - 1)]);
+                group[at(0)] = low;
+                group[at(n - 1)] = high;
+            }
+        }
+    }
+
+    /// Differences between neighbours along an axis in the place of values; none where there is one
+    /// sample only.
+    fn differences(&mut self, axis: usize) {
+        let n = self.size[axis];
+        if n < 2 {
+            self.values = vec![0.0];
+            return;
+        }
+        let stride: usize = self.size[..axis].iter().product();
+        let mut out = Vec::with_capacity(self.values.len());
+        for group in self.values.chunks_exact(stride * n) {
+            let (low, high) = (&group[..stride * (n - 1)], &group[stride..]);
+            out.extend(low.iter().zip(high).map(|(a, b)| b - a));
+        }
+        self.values = out;
+    }
+
+    /// The extremes of what is there, and room for the rounding of interpolations.
+    fn range(&self) -> Interval {
+        let room = 1e-14 * self.largest + 1e-300;
+        let (lo, hi) = self
+            .values
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), &v| {
+                (lo.min(v), hi.max(v))
+            });
+        Interval::new(lo - room, hi + room)
     }
 }
 
@@ -171,14 +307,16 @@ impl Oracle for Sampled {
             }
             ends
         };
-        let region = self.reach(p.map(ends));
+        let region = self.indices(p.map(ends)).map(|i| self.reach(i));
         let n = out.len();
         match region {
             Some(region) if region.count() <= MAX_READ || n == 1 => {
-                let values = self.block(region)?;
+                let block = self.block(region)?;
+                let [x, y, z] = p.map(|c| &c[..n]);
                 for (i, o) in out.iter_mut().enumerate() {
-                    let index = self.index_of(p.map(|c| c[i]));
-                    *o = self.cell(index, region, &values).0;
+                    let (x, y, z) = (x[i], y[i], z[i]);
+                    let of = |a| self.index_of(x, y, z, a);
+                    *o = block.value([of(0), of(1), of(2)]);
                 }
             }
             None if n == 1 => out[0] = f64::NAN,
@@ -192,14 +330,18 @@ impl Oracle for Sampled {
     }
 
     fn range(&self, cube: [Interval; 3]) -> Result<Interval> {
-        let Some(region) = self.reach(cube) else {
+        let Some(indices) = self.indices(cube) else {
             return Ok(Interval::ANY);
         };
+        let region = self.reach(indices);
         if cube.iter().all(|i| i.lo == i.hi) {
-            let index = self.index_of(cube.map(|i| i.lo));
-            return Ok(Interval::point(
-                self.cell(index, region, &self.block(region)?).0,
-            ));
+            let [x, y, z] = cube.map(|i| i.lo);
+            let index = [0, 1, 2].map(|a| self.index_of(x, y, z, a));
+            return Ok(Interval::point(self.block(region)?.value(index)));
+        }
+        if let Some(mut part) = self.part(indices, region)? {
+            (0..3).for_each(|axis| part.cut(axis));
+            return Ok(part.range());
         }
         let found = self.field.range(region)?;
         if found.min > found.max {
@@ -223,28 +365,63 @@ impl Oracle for Sampled {
                 })
             })
         };
+        let Some(indices) = self.indices(cube) else {
+            return Ok([Interval::REAL; 3]);
+        };
+        let region = self.reach(indices);
+        let (low, high) = self.ends();
         if cube.iter().all(|i| i.lo == i.hi) {
             let world = cube.map(|i| i.lo);
-            let (low, high) = self.ends();
             let raw = self.world_to_index.apply(world);
-            let Some(region) = self.reach(cube) else {
-                return Ok([Interval::REAL; 3]);
-            };
-            let slopes = self
-                .cell(self.index_of(world), region, &self.block(region)?)
-                .1;
+            let [x, y, z] = world;
+            let index = [0, 1, 2].map(|a| self.index_of(x, y, z, a));
+            let slopes = self.block(region)?.slopes(index);
             // Beyond the border the nearest sample stands: flat.
             return Ok(to_world([0, 1, 2].map(|a| {
                 let inside = low[a] < high[a] && raw[a] >= low[a] && raw[a] <= high[a];
                 Interval::point(if inside { slopes[a] } else { 0.0 })
             })));
         }
-        let range = self.range(cube)?;
-        let most = range.hi - range.lo;
-        if range.nan || !most.is_finite() {
-            return Ok([Interval::REAL; 3]);
+        let Some(part) = self.part(indices, region)? else {
+            let range = self.range(cube)?;
+            let most = range.hi - range.lo;
+            if range.nan || !most.is_finite() {
+                return Ok([Interval::REAL; 3]);
+            }
+            // Neighbours differ by no more than the samples around do.
+            return Ok(to_world([Interval::new(-most, most); 3]));
+        };
+        let mut d = [Interval::ZERO; 3];
+        for (axis, d) in d.iter_mut().enumerate() {
+            let mut own = part.clone();
+            own.differences(axis);
+            let width = own.size[axis].max(2) - 1;
+            own.size[axis] = width;
+            (0..3).filter(|&a| a != axis).for_each(|a| own.cut(a));
+            *d = own.range();
+            let leaves = indices[axis].lo < low[axis] || indices[axis].hi > high[axis];
+            if leaves {
+                *d = d.hull(Interval::ZERO);
+            }
         }
-        // Neighbours differ by no more than the samples around do.
-        Ok(to_world([Interval::new(-most, most); 3]))
+        Ok(to_world(d))
+    }
+
+    fn rounding(&self, cube: [Interval; 3]) -> Result<f64> {
+        let Some(indices) = self.indices(cube) else {
+            return Ok(f64::INFINITY);
+        };
+        let found = self.field.range(self.reach(indices))?;
+        if found.has_nan || found.min > found.max {
+            return Ok(f64::INFINITY);
+        }
+        let [low, high] = [found.min, found.max].map(f64::from);
+        // An index is a sum of four products.
+        let sums = self.world_to_index.rows.map(|row| {
+            let parts = (0..3).map(|b| row[b].abs() * cube[b].magnitude());
+            parts.sum::<f64>() + row[3].abs()
+        });
+        let steps = 1.0 + sums.iter().sum::<f64>();
+        Ok(1e-14 * (low.abs().max(high.abs()) + (high - low) * steps))
     }
 }

@@ -5,14 +5,21 @@
 //! no derivative (the crease of a minimum), the range holds those of both sides.
 
 use super::graph::{Binary, Unary};
-use super::interval::{self, Interval};
+use super::interval::Interval;
 
 /// A range of values and ranges of the derivatives along x, y, z.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Slope {
     pub(super) value: Interval,
     pub(super) d: [Interval; 3],
+    /// How far rounding may have moved a value from the exact one, to first order: what the operands
+    /// have, times how fast the operation changes, and its own.
+    pub(super) noise: f64,
 }
+
+/// Rounding of one operation, as a part of its result: that of the functions of the system's library,
+/// which are not rounded to nearest.
+const ROUNDING: f64 = 4e-15;
 
 /// What is constant stays so, whatever it is multiplied by.
 fn times(a: Interval, b: Interval) -> Interval {
@@ -43,42 +50,62 @@ impl Slope {
         Slope {
             value: Interval::point(value),
             d: [Interval::ZERO; 3],
+            noise: 0.0,
         }
     }
 
     pub(super) fn axis(axis: usize, value: Interval) -> Slope {
         let mut d = [Interval::ZERO; 3];
         d[axis] = Interval::point(1.0);
-        Slope { value, d }
+        Slope {
+            value,
+            d,
+            noise: 0.0,
+        }
     }
 
     /// A function of three values: its range, and its derivatives by each.
-    pub(super) fn chain(value: Interval, parts: [(Slope, Interval); 3]) -> Slope {
+    pub(super) fn chain(value: Interval, parts: [(&Slope, Interval); 3]) -> Slope {
         let d = std::array::from_fn(|axis| {
             parts.iter().fold(Interval::ZERO, |sum, (inner, outer)| {
                 plus(sum, times(*outer, inner.d[axis]))
             })
         });
-        Slope { value, d }
+        let passed = parts
+            .iter()
+            .map(|(inner, outer)| inner.noise_through(*outer));
+        let noise = passed.sum::<f64>() + ROUNDING * value.magnitude();
+        Slope { value, d, noise }
     }
 
-    fn with(self, value: Interval, outer: Interval) -> Slope {
-        Slope {
-            value,
-            d: self.d.map(|d| times(outer, d)),
+    /// What its noise becomes in a function that changes as fast as `outer` says.
+    fn noise_through(&self, outer: Interval) -> f64 {
+        match self.noise {
+            0.0 => 0.0,
+            noise => noise * outer.magnitude(),
         }
     }
 
-    fn pair(value: Interval, a: (Slope, Interval), b: (Slope, Interval)) -> Slope {
+    fn with(&self, value: Interval, outer: Interval) -> Slope {
+        Slope {
+            value,
+            d: self.d.map(|d| times(outer, d)),
+            noise: self.noise_through(outer) + ROUNDING * value.magnitude(),
+        }
+    }
+
+    fn pair(value: Interval, a: (&Slope, Interval), b: (&Slope, Interval)) -> Slope {
         let d = [0, 1, 2].map(|i| plus(times(a.1, a.0.d[i]), times(b.1, b.0.d[i])));
-        Slope { value, d }
+        let passed = a.0.noise_through(a.1) + b.0.noise_through(b.1);
+        let noise = passed + ROUNDING * value.magnitude();
+        Slope { value, d, noise }
     }
 }
 
-pub(super) fn unary(f: Unary, a: Slope) -> Slope {
+/// `value` is the range of the result, for whoever has it already.
+pub(super) fn unary(f: Unary, a: &Slope, value: Interval) -> Slope {
     let one = Interval::point(1.0);
     let v = a.value;
-    let value = interval::unary(f, v);
     let outer = match f {
         Unary::Neg => one.neg(),
         Unary::Abs => sign(v),
@@ -111,9 +138,9 @@ fn sign(v: Interval) -> Interval {
     }
 }
 
-pub(super) fn binary(f: Binary, a: Slope, b: Slope) -> Slope {
+/// `value` is the range of the result, for whoever has it already.
+pub(super) fn binary(f: Binary, a: &Slope, b: &Slope, value: Interval) -> Slope {
     let (va, vb) = (a.value, b.value);
-    let value = interval::binary(f, va, vb);
     let one = Interval::point(1.0);
     match f {
         Binary::Add => Slope::pair(value, (a, one), (b, one)),
@@ -151,12 +178,16 @@ pub(super) fn binary(f: Binary, a: Slope, b: Slope) -> Slope {
     }
 }
 
-fn choice(value: Interval, a: Slope, b: Slope, first: bool, second: bool) -> Slope {
+fn choice(value: Interval, a: &Slope, b: &Slope, first: bool, second: bool) -> Slope {
     let clear = !a.value.nan && !b.value.nan;
     let d = match (first && clear, second && clear) {
         (true, _) => a.d,
         (_, true) => b.d,
         _ => [0, 1, 2].map(|i| a.d[i].hull(b.d[i])),
     };
-    Slope { value, d }
+    Slope {
+        value,
+        d,
+        noise: a.noise.max(b.noise),
+    }
 }

@@ -36,6 +36,7 @@ pub(super) struct Room {
     pub(super) planes: super::planes::Planes,
     intervals: Vec<Interval>,
     slopes: Vec<Slope>,
+    single: Vec<f64>,
 }
 
 impl Tape {
@@ -150,61 +151,85 @@ impl Tape {
 
     /// Ranges of the value and its derivatives over a box.
     pub(super) fn slopes(&self, cube: [Interval; 3], room: &mut Room) -> Result<Slope> {
+        self.range(cube, room)?;
+        self.slopes_of_known(cube, room)
+    }
+
+    /// The same for the box whose [`range`](Self::range) was asked last.
+    fn slopes_of_known(&self, cube: [Interval; 3], room: &mut Room) -> Result<Slope> {
+        let values = &room.intervals;
         let all = &mut room.slopes;
         all.clear();
         all.reserve(self.ops.len());
-        for &op in &self.ops {
-            let value = match op {
+        for (&op, &value) in self.ops.iter().zip(values) {
+            let next = match op {
                 Op::Const(bits) => Slope::constant(f64::from_bits(bits)),
                 Op::Axis(a) => Slope::axis(a as usize, cube[a as usize]),
-                Op::Unary(f, a) => slope::unary(f, all[a as usize]),
-                Op::Binary(f, a, b) => slope::binary(f, all[a as usize], all[b as usize]),
+                Op::Unary(f, a) => slope::unary(f, &all[a as usize], value),
+                Op::Binary(f, a, b) => slope::binary(f, &all[a as usize], &all[b as usize], value),
                 Op::Oracle(n, p) => {
-                    let parts = p.map(|id| all[id as usize]);
-                    let inner = parts.map(|s| s.value);
-                    let oracle = &self.oracles[n as usize];
+                    let parts = p.map(|id| &all[id as usize]);
+                    let (oracle, inner) = (&self.oracles[n as usize], parts.map(|s| s.value));
                     let outer = oracle.slopes(inner)?;
-                    let both = [0, 1, 2].map(|i| (parts[i], outer[i]));
-                    Slope::chain(oracle.range(inner)?, both)
+                    let mut found = Slope::chain(value, [0, 1, 2].map(|i| (parts[i], outer[i])));
+                    found.noise += oracle.rounding(inner)?;
+                    found
                 }
             };
-            all.push(value);
+            all.push(next);
         }
         Ok(all.last().copied().unwrap_or(Slope {
             value: Interval::ANY,
             d: [Interval::REAL; 3],
+            noise: f64::INFINITY,
         }))
     }
 
-    /// A tighter range over a box: the value in the middle and what the derivatives add to it,
-    /// together with `known`.
-    pub(super) fn tight_range(
-        &self,
-        cube: [Interval; 3],
-        known: Interval,
-        room: &mut Room,
-    ) -> Result<Interval> {
-        let slopes = self.slopes(cube, room)?;
-        if slopes.value.nan || known.nan {
+    /// A tighter range over the box whose [`range`](Self::range) was asked last: the value in the
+    /// middle and what the derivatives add to it, together with that range.
+    pub(super) fn tight_range(&self, cube: [Interval; 3], room: &mut Room) -> Result<Interval> {
+        let slopes = self.slopes_of_known(cube, room)?;
+        let known = slopes.value;
+        if known.nan || !slopes.noise.is_finite() {
             return Ok(known);
         }
         let middle = cube.map(Interval::middle);
-        let mut sum = self.range(middle.map(Interval::point), room)?;
-        let mut size = sum.magnitude();
+        let mut sum = Interval::point(self.value(middle, room)?);
         for a in 0..3 {
             let way = cube[a].sub(Interval::point(middle[a]));
-            let part = slopes.d[a].mul(way);
-            size += part.magnitude();
-            sum = sum.add(part);
+            sum = sum.add(slopes.d[a].mul(way));
         }
-        // Unlike the plain range this one is not formed as the values are: room for rounding.
-        let room_ = 1e-12 * (size + slopes.value.magnitude().min(1e300));
+        // Unlike the plain range this one is not formed as the values are: room for the rounding of
+        // the value in the middle and of the others, and as much again for that of the slopes.
+        let room_ = 4.0 * slopes.noise + 1e-12 * sum.magnitude().min(known.magnitude());
         if sum.nan || !room_.is_finite() {
             return Ok(known);
         }
         let tight = Interval::new(sum.lo - room_, sum.hi + room_);
         let out = known.common(tight);
         Ok(if out.is_none() { known } else { out })
+    }
+
+    /// The value at one point.
+    fn value(&self, point: [f64; 3], room: &mut Room) -> Result<f64> {
+        let all = &mut room.single;
+        all.clear();
+        for &op in &self.ops {
+            let value = match op {
+                Op::Const(bits) => f64::from_bits(bits),
+                Op::Axis(a) => point[a as usize],
+                Op::Unary(f, a) => number::unary(f, all[a as usize]),
+                Op::Binary(f, a, b) => number::binary(f, all[a as usize], all[b as usize]),
+                Op::Oracle(n, p) => {
+                    let [x, y, z] = p.map(|id| [all[id as usize]]);
+                    let mut out = [0.0];
+                    self.oracles[n as usize].values([&x, &y, &z], &mut out)?;
+                    out[0]
+                }
+            };
+            all.push(value);
+        }
+        Ok(all.last().copied().unwrap_or(f64::NAN))
     }
 
     /// Values at points given by their coordinates.

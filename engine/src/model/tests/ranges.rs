@@ -56,7 +56,7 @@ fn problem(tape: &Tape, random: &mut Random) -> Option<String> {
     let room = &mut Room::default();
     let known = tape.range(cube, room).expect("no data fails");
     let pruned = tape.prune(room);
-    let tight = tape.tight_range(cube, known, room).expect("no data fails");
+    let tight = tape.tight_range(cube, room).expect("no data fails");
     let [x, y, z] = &points;
     let mut values = vec![0.0; x.len()];
     tape.values([x, y, z], &mut values, room)
