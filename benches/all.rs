@@ -5,6 +5,7 @@
 
 mod ambiguous;
 mod brick_edge;
+mod dense;
 mod kernel;
 mod region;
 mod sample;
@@ -26,6 +27,9 @@ fn main() {
     }
     if "stream".contains(&filter) {
         stream::run();
+    }
+    if "dense".contains(&filter) {
+        dense::run();
     }
     if "ambiguous".contains(&filter) {
         ambiguous::run();
