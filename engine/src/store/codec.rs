@@ -3,8 +3,10 @@
 //!
 //! Codec numbers (byte 5 of a record): 0 samples as they are; 1 one LZ4 block; from 2 on byte planes
 //! of a [`Filter`]: one u32 per plane with its stored length, then the planes, each as it is (stored
-//! length = plane length) or as an LZ4 block (shorter); 6 is [`rows`], 7 and 8 are [`fitted`].
+//! length = plane length) or as an LZ4 block (shorter); 6 is [`rows`], 7 and 8 are [`fitted`], 9 is
+//! [`binary`].
 
+use super::binary::{self, BinaryEncoder};
 use super::filter::{self, Filter};
 use super::fitted::{self, FittedEncoder};
 use super::layout::{brick_bytes, get_u32};
@@ -24,6 +26,8 @@ pub(crate) const CODEC_ROWS: u8 = 6;
 pub(crate) const CODEC_FITTED: u8 = 7;
 /// The same with an entropy coder.
 pub(crate) const CODEC_CODED: u8 = 8;
+/// Two values.
+pub(crate) const CODEC_BINARY: u8 = 9;
 const FIRST_FILTER: u8 = 2;
 const FILTERS: [Filter; 4] = [
     Filter::Planes,
@@ -43,6 +47,8 @@ pub(crate) struct Choice {
     pub(crate) rows: bool,
     /// Codecs 7 and 8.
     pub(crate) fitted: bool,
+    /// Codec 9.
+    pub(crate) binary: bool,
     /// Size alone counts; else codec 8, which decodes several times slower, is only for samples of a
     /// byte, and where it saves an eighth.
     pub(crate) smallest: bool,
@@ -73,6 +79,7 @@ pub(crate) struct Encoder {
     trial: Vec<u8>,
     rows: RowsEncoder,
     fitted: FittedEncoder,
+    binary: BinaryEncoder,
     small: CompressTable,
     large: CompressTable,
 }
@@ -85,6 +92,7 @@ impl Default for Encoder {
             trial: Vec::new(),
             rows: RowsEncoder::default(),
             fitted: FittedEncoder::default(),
+            binary: BinaryEncoder::default(),
             small: CompressTable::small(),
             large: CompressTable::large(),
         }
@@ -132,6 +140,20 @@ impl Encoder {
                 return CODEC_ROWS;
             }
             out.truncate(start);
+        }
+        if choice.binary && binary::is_for(sample) && self.binary.encode(sample, edge, bytes, out) {
+            let length = out.len() - start;
+            // Four times fewer than bits, or matches of LZ4 may say more: stripes, checkerboards.
+            if length * 32 <= (edge as usize).pow(3) {
+                return CODEC_BINARY;
+            }
+            let packed = self.pack(bytes, None);
+            if packed >= length {
+                return CODEC_BINARY;
+            }
+            out.truncate(start);
+            out.extend_from_slice(&self.packed[..packed]);
+            return CODEC_LZ4;
         }
         let (other, expected) = self.choose(sample, edge, bytes, choice.rows);
         if !(choice.fitted && fitted::is_for(sample)) {
@@ -212,6 +234,10 @@ impl Encoder {
                 out.extend_from_slice(&self.packed[..n]);
             }
             CODEC_ROWS => self.rows.encode(edge, bytes, out),
+            CODEC_BINARY => assert!(
+                self.binary.encode(sample, edge, bytes, out),
+                "a brick of two values"
+            ),
             CODEC_FITTED | CODEC_CODED => {
                 self.fitted.predict(sample, edge, bytes);
                 match codec {
@@ -323,7 +349,12 @@ pub(crate) fn decode(
             let words = &mut scratch.as_chunks_mut::<2>().0[..samples];
             fitted::decode(codec == CODEC_FITTED, stored, sample, edge, out, words)
         }
-        CODEC_ROWS | CODEC_FITTED | CODEC_CODED => Err("the codec does not fit the sample type"),
+        CODEC_BINARY if binary::is_for(sample) => {
+            binary::decode(stored, sample, edge, out, scratch)
+        }
+        CODEC_ROWS | CODEC_FITTED | CODEC_CODED | CODEC_BINARY => {
+            Err("the codec does not fit the sample type")
+        }
         _ => decode_planes(codec, stored, sample, edge, out, scratch),
     }
 }
@@ -389,7 +420,11 @@ fn decode_planes(
 /// Packs samples of one byte, 0 or not 0, to bits; bit `i % 8` of byte `i / 8`.
 pub(crate) fn pack_bits(raw: &[u8], packed: &mut [u8]) {
     for (byte, eight) in packed.iter_mut().zip(raw.as_chunks::<8>().0) {
-        *byte = (0..8).fold(0, |bits, i| bits | u8::from(eight[i] != 0) << i);
+        // Any bit of a byte to its highest one; these eight, at distances of 8, to distances of 1.
+        let word = u64::from_le_bytes(*eight);
+        let flags = ((word & 0x7f7f_7f7f_7f7f_7f7f) + 0x7f7f_7f7f_7f7f_7f7f | word) >> 7;
+        let ones = flags & 0x0101_0101_0101_0101;
+        *byte = (ones.wrapping_mul(0x0102_0408_1020_4080) >> 56) as u8;
     }
 }
 
@@ -480,8 +515,21 @@ mod tests {
     const ALL: Choice = Choice {
         rows: true,
         fitted: true,
+        binary: true,
         smallest: true,
     };
+
+    #[test]
+    fn codec_packs_bits_of_any_bytes_but_zero() {
+        let raw: Vec<u8> = (0..4096u32)
+            .map(|n| (n * n >> 5) as u8 & (n >> 3) as u8)
+            .collect();
+        let mut packed = vec![0; raw.len() / 8];
+        pack_bits(&raw, &mut packed);
+        for (i, &byte) in raw.iter().enumerate() {
+            assert_eq!(bit_at(&packed, i), u8::from(byte != 0), "{i}");
+        }
+    }
 
     #[test]
     fn codec_round_trip() {
@@ -608,7 +656,7 @@ mod tests {
                 stored.push(0);
                 assert!(decode(codec, &stored, sample, 8, &mut out, &mut scratch).is_err());
             }
-            for codec in CODEC_CODED + 1..=255 {
+            for codec in CODEC_BINARY + 1..=255 {
                 assert!(decode(codec, brick, sample, 8, &mut out, &mut scratch).is_err());
             }
         }
@@ -619,6 +667,18 @@ mod tests {
         for codec in [CODEC_FITTED, CODEC_CODED] {
             assert!(decode(codec, &[0; 16], SampleType::I32, 8, &mut out, &mut scratch).is_err());
         }
+        let mut out = vec![0; brick_bytes(SampleType::F32, 8)];
+        assert!(
+            decode(
+                CODEC_BINARY,
+                &[0; 16],
+                SampleType::F32,
+                8,
+                &mut out,
+                &mut scratch
+            )
+            .is_err()
+        );
     }
 
     /// Damage gives an error or some value, never a panic; checksums are the record's business.

@@ -57,6 +57,7 @@ pub fn brick(how: [u8; 2], stored: &[u8]) {
     let choice = Choice {
         rows: true,
         fitted: true,
+        binary: true,
         smallest: how[1] & 1 == 0,
     };
     let codec = Encoder::default().encode(sample, 8, &out, choice, &mut packed);

@@ -76,8 +76,11 @@ pub(crate) const INCOMPAT_ROWS: u64 = 1 << 3;
 /// `incompat`: bricks of u8, i8, u16 and i16 may have codecs 7 and 8.
 pub(crate) const INCOMPAT_FITTED: u64 = 1 << 4;
 
+/// `incompat`: bricks of all types but f32 may have codec 9.
+pub(crate) const INCOMPAT_BINARY: u64 = 1 << 5;
+
 /// Bits of the `incompat` word that this version understands.
-pub(crate) const KNOWN_INCOMPAT: u64 = INCOMPAT_ROWS | INCOMPAT_FITTED;
+pub(crate) const KNOWN_INCOMPAT: u64 = INCOMPAT_ROWS | INCOMPAT_FITTED | INCOMPAT_BINARY;
 
 /// Names of feature bits that are planned, so that an old reader can name what it lacks.
 pub(crate) fn incompat_name(bit: u32) -> &'static str {
@@ -87,6 +90,7 @@ pub(crate) fn incompat_name(bit: u32) -> &'static str {
         2 => "more than one channel",
         3 => "f32 bricks of predicted rows",
         4 => "bricks of small integers with a fitted prediction",
+        5 => "bricks of two values as predicted bits",
         _ => "unnamed",
     }
 }

@@ -18,6 +18,7 @@ use std::time::Instant;
 const CHOICE: Choice = Choice {
     rows: true,
     fitted: true,
+    binary: true,
     smallest: false,
 };
 
@@ -153,7 +154,7 @@ fn measure_codecs() {
                     continue;
                 }
                 let (mut encode_s, mut decode_s, mut stored_bytes) = (f64::MAX, f64::MAX, 0);
-                let mut chosen = [0usize; 9];
+                let mut chosen = [0usize; 10];
                 for _ in 0..3 {
                     let start = Instant::now();
                     let stored: Vec<(u8, Vec<u8>)> = bricks

@@ -6,8 +6,10 @@
 
 mod ahead;
 mod aside;
+mod binary;
 pub mod cache;
 mod catalog;
+mod checksum;
 mod codec;
 mod commit;
 mod compact;

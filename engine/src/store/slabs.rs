@@ -3,6 +3,7 @@
 //! not fit, through a scratch file. Samples that stand in a file already are read there, once.
 
 use super::aside::{Aside, create_aside};
+use super::checksum::Joiner;
 use super::crew::{BATCH_EDGE, Crew, threads_for};
 use super::encode::BrickEncoder;
 use super::source::{SOURCE_CHUNK, Source, source_error};
@@ -317,9 +318,9 @@ impl Slabs<'_> {
     fn join_runs(&self, crc: u32) -> u32 {
         let mut runs = self.runs.lock().unwrap_or_else(PoisonError::into_inner);
         runs.sort_unstable_by_key(|run| run.offset);
-        runs.drain(..).fold(crc, |crc, run| {
-            crc32c::crc32c_combine(crc, run.crc, run.length)
-        })
+        let mut joiner = Joiner::default();
+        runs.drain(..)
+            .fold(crc, |crc, run| joiner.join(crc, run.crc, run.length))
     }
 
     /// Encodes jobs until there are no more.

@@ -7,8 +7,8 @@ use super::commit::{Saved, SavedPart};
 use super::encode::{Batch, BrickEncoder, Encoded};
 use super::fitted;
 use super::layout::{
-    FILE_ID_BYTES, INCOMPAT_FITTED, INCOMPAT_ROWS, KNOWN_RO_COMPAT, LOG_START, MAX_VOLUMES,
-    brick_bytes, record_bytes,
+    FILE_ID_BYTES, INCOMPAT_BINARY, INCOMPAT_FITTED, INCOMPAT_ROWS, KNOWN_RO_COMPAT, LOG_START,
+    MAX_VOLUMES, brick_bytes, record_bytes,
 };
 use super::log::Log;
 use super::open::{Contents, Opened};
@@ -216,8 +216,8 @@ impl VolumeWriter {
         // A file that starts with other samples stays readable without those codecs.
         let incompat = match spec.sample {
             SampleType::F32 => INCOMPAT_ROWS,
-            sample if fitted::is_for(sample) => INCOMPAT_FITTED,
-            _ => 0,
+            sample if fitted::is_for(sample) => INCOMPAT_FITTED | INCOMPAT_BINARY,
+            _ => INCOMPAT_BINARY,
         };
         let log = Log::create(storage.clone(), is_locked, place.clone(), &id, incompat)?;
         let file = Opened {
@@ -629,6 +629,7 @@ fn choice_of(incompat: u64) -> Choice {
     Choice {
         rows: incompat & INCOMPAT_ROWS != 0,
         fitted: incompat & INCOMPAT_FITTED != 0,
+        binary: incompat & INCOMPAT_BINARY != 0,
         smallest: false,
     }
 }
