@@ -100,6 +100,25 @@ fn a_dry_run_prints_the_tree_and_writes_nothing() {
 }
 
 #[test]
+fn a_dry_run_of_a_volume_counts_the_bricks_that_are_evaluated() {
+    let scratch = Scratch::new("model-dry-volume");
+    for name in ["machine_part", "barth_sextic", "metaballs"] {
+        let scene = workspace().join(format!("data-gen/scenes/{name}.toml"));
+        let scene = scene.to_string_lossy();
+        for how in ["", "--band 5", "--full"] {
+            let line = format!("model {scene} @v.bvol --resolution 100 --overwrite {how}");
+            let expected = json(&scratch, &format!("{line} --dry-run"));
+            let written = json(&scratch, &line);
+            assert_eq!(expected["bricks_all"], written["bricks"], "{name} {how}");
+            assert_eq!(
+                expected["bricks"], written["bricks_evaluated"],
+                "{name} {how}: {expected}"
+            );
+        }
+    }
+}
+
+#[test]
 fn colours_follow_the_parts() {
     let scratch = Scratch::new("model-colours");
     let two = "[model]\nunion = [\n\

@@ -147,13 +147,30 @@ fn ricci(parts: Vec<Built>, power: f64, convention: Convention, g: &mut Graph) -
     let mut powers = Vec::new();
     for part in parts {
         let positive = g.max_value(part.value, 0.0);
-        let value = g.binary(Binary::Pow, positive, exponent);
+        // Products of the value where they are few: a power of the system's library costs more than
+        // all else in a row of points.
+        let value = match small_whole(power) {
+            Some(n) => g.power(positive, n),
+            None => g.binary(Binary::Pow, positive, exponent),
+        };
         powers.push(Built { value, ..part });
     }
     let mut out = weighted_sum(powers, convention, g);
-    let root = g.constant(1.0 / power);
-    out.value = g.binary(Binary::Pow, out.value, root);
+    out.value = match small_whole(power) {
+        Some(1) => out.value,
+        Some(2) => g.sqrt(out.value),
+        _ => {
+            let root = g.constant(1.0 / power);
+            g.binary(Binary::Pow, out.value, root)
+        }
+    };
     Ok(out)
+}
+
+/// The power as a count of factors, where there are few of them.
+fn small_whole(power: f64) -> Option<i32> {
+    let is_small = (1.0..=32.0).contains(&power) && power.fract() == 0.0;
+    is_small.then_some(power as i32)
 }
 
 /// The sum; attributes weigh as much as the values do.

@@ -25,6 +25,7 @@ mod expression;
 mod field;
 mod graph;
 mod interval;
+mod listing;
 mod near;
 mod number;
 mod oracle;

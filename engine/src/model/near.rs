@@ -4,6 +4,7 @@ use crate::error::Result;
 use crate::field::{Field, Range, Samples};
 use crate::lattice::{Box3, Grid};
 use crate::sample::{Inside, Kind};
+use std::sync::{Mutex, PoisonError};
 
 /// Samples of regions that the surface may come near to, as they are; `inside` or `outside` for
 /// all samples of other regions.
@@ -18,7 +19,21 @@ pub struct NearSurface<'a> {
     inside: f32,
     /// Value of regions that are outside.
     outside: f32,
+    /// What was found out last, by a hash of the region: a brick is asked for its range and then read.
+    last: Vec<Mutex<Option<(Box3, Nearness)>>>,
 }
+
+/// What is known of a region and the samples around it.
+#[derive(Clone, Copy)]
+enum Nearness {
+    /// No surface: one value for all.
+    Far(f32),
+    /// All values are in this range.
+    Near(Range),
+}
+
+/// Places for what was found out last: many times the threads there may be.
+const LAST: usize = 64;
 
 impl<'a> NearSurface<'a> {
     /// `far` is how much the values away from the surface differ from `iso`.
@@ -32,6 +47,7 @@ impl<'a> NearSurface<'a> {
             iso,
             inside: iso + sign * far,
             outside: iso - sign * far,
+            last: (0..LAST).map(|_| Mutex::default()).collect(),
         }
     }
 
@@ -40,18 +56,32 @@ impl<'a> NearSurface<'a> {
         self.outside
     }
 
-    fn far(&self, region: Box3) -> Result<Option<f32>> {
+    fn nearness(&self, region: Box3) -> Result<Nearness> {
+        let [x, y, z] = region.min.map(|v| (v >> 3) as usize);
+        let place = &self.last[(x ^ y.rotate_left(2) ^ z.rotate_left(4)) % LAST];
+        let last = *place.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((known, found)) = last
+            && known == region
+        {
+            return Ok(found);
+        }
+        let found = self.find(region)?;
+        *place.lock().unwrap_or_else(PoisonError::into_inner) = Some((region, found));
+        Ok(found)
+    }
+
+    fn find(&self, region: Box3) -> Result<Nearness> {
         let around = region.grow(2, 2).intersect(&self.field.grid().domain);
         let range = self.field.range(around)?;
         if range.has_nan || range.min > range.max {
-            return Ok(None);
+            return Ok(Nearness::Near(range));
         }
         let side = self.field.kind().inside();
         let [low, high] = [range.min, range.max].map(|v| side.contains(v, self.iso));
         Ok(match (low, high) {
-            (true, true) => Some(self.inside),
-            (false, false) => Some(self.outside),
-            _ => None,
+            (true, true) => Nearness::Far(self.inside),
+            (false, false) => Nearness::Far(self.outside),
+            _ => Nearness::Near(range),
         })
     }
 }
@@ -70,7 +100,7 @@ impl Field for NearSurface<'_> {
     }
 
     fn read(&self, region: Box3, out: &mut Samples<'_>) -> Result<()> {
-        let Some(value) = self.far(region)? else {
+        let Nearness::Far(value) = self.nearness(region)? else {
             return self.field.read(region, out);
         };
         let [nx, ny, nz] = region.size().map(|n| n as usize);
@@ -83,13 +113,11 @@ impl Field for NearSurface<'_> {
     }
 
     fn range(&self, region: Box3) -> Result<Range> {
-        match self.far(region)? {
-            Some(value) => Ok(Range::of(value)),
-            None => Ok(self
-                .field
-                .range(region)?
+        Ok(match self.nearness(region)? {
+            Nearness::Far(value) => Range::of(value),
+            Nearness::Near(range) => range
                 .union(Range::of(self.inside))
-                .union(Range::of(self.outside))),
-        }
+                .union(Range::of(self.outside)),
+        })
     }
 }

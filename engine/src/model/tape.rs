@@ -374,6 +374,9 @@ fn unary_row(f: Unary, a: Operand<'_>, out: &mut [f64]) {
         Unary::Atan => each(a, out, f64::atan),
         Unary::Power(3) => each(a, out, |a| number::power(a, 3)),
         Unary::Power(4) => each(a, out, |a| number::power(a, 4)),
+        Unary::Power(5) => each(a, out, |a| number::power(a, 5)),
+        Unary::Power(6) => each(a, out, |a| number::power(a, 6)),
+        Unary::Power(8) => each(a, out, |a| number::power(a, 8)),
         Unary::Power(n) => each(a, out, |a| number::power(a, n)),
     }
 }

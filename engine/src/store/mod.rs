@@ -73,5 +73,5 @@ pub use spec::{Compression, VolumeInfo, VolumeSpec, default_brick_edge};
 pub use storage::{FileStorage, MemoryStorage, Storage};
 pub use verify::{MAX_PROBLEMS, Problem, Report, verify, verify_in};
 pub use volume::Volume;
-pub use write_field::{write_field, write_fields};
+pub use write_field::{bricks_to_evaluate, write_field, write_fields};
 pub use writer::VolumeWriter;

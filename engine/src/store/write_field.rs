@@ -72,6 +72,35 @@ pub fn write_fields(
     writer.finish()
 }
 
+/// How many bricks [`write_field`] would evaluate: those whose range is not one value. The same questions, no
+/// samples.
+///
+/// # Errors
+/// What the field reports; when it is cancelled.
+pub fn bricks_to_evaluate(field: &dyn Field, spec: &VolumeSpec, budget: &Budget) -> Result<u64> {
+    let bricks = spec.bricks();
+    let mut count = 0;
+    let mut stack = vec![([0; 3], 1u32 << (3 * spec.root_level()))];
+    while let Some((min, edge)) = stack.pop() {
+        budget.check_cancelled()?;
+        let outside = (0..3).any(|a| min[a] >= bricks[a]);
+        if outside || constant(spec.sample, field.range(spec.node_box(min, edge))?).is_some() {
+            continue;
+        }
+        if edge == 1 {
+            count += 1;
+            continue;
+        }
+        let half = edge / 2;
+        stack.extend(
+            (0..8u32)
+                .map(|n| [0, 1, 2].map(|a| min[a] + (n >> a & 1) * half))
+                .map(|min| (min, half)),
+        );
+    }
+    Ok(count)
+}
+
 /// Puts every brick of `field` into the first volume of `writer`.
 #[cfg(test)]
 pub(super) fn fill(field: &dyn Field, writer: &VolumeWriter, budget: &Budget) -> Result<()> {
@@ -239,7 +268,13 @@ mod tests {
             clamp(ball(p))
         };
         let field = FromFn::new(spec.grid, Kind::Distance, value, range);
+        let expected = bricks_to_evaluate(&field, &spec, &Budget::mib(16)).expect("counts");
+        assert_eq!(calls.load(std::sync::atomic::Ordering::Relaxed), 0);
         let (bytes, info) = bytes_with(2, 16, &field, &spec);
+        assert!(
+            expected >= info.bricks_stored && expected < 3500,
+            "{expected}"
+        );
         assert!(
             info.bricks_stored < 3000 && info.bricks_constant > 170_000,
             "{info:?}"

@@ -13,7 +13,7 @@ use brickmarch::iso::{Extract, extract};
 use brickmarch::mesh::{Layout, Piece, Totals};
 use brickmarch::model::{AttributeField, Convention, Model, NearSurface};
 use brickmarch::refine::Refined;
-use brickmarch::store::{VolumeInfo, VolumeSpec, write_fields};
+use brickmarch::store::{VolumeInfo, VolumeSpec, bricks_to_evaluate, write_fields};
 use brickmarch::{Error, Field, MeshSink, Result, SampleType};
 use brickmarch_formats::scene::Scene;
 use serde_json::{Value, json};
@@ -52,7 +52,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         "mem_bytes": args.run.limits.mem,
     });
     if args.dry_run {
-        let text = dry_run(&scene, &model, &job, &mut json).map_err(&blame)?;
+        let text = dry_run(args, &scene, model, &job, &mut json).map_err(&blame)?;
         job.result(&text, &json)?;
         return Ok(Outcome::Done);
     }
@@ -120,62 +120,86 @@ fn add(json: &mut Value, more: Value) {
     }
 }
 
-fn dry_run(scene: &Scene, model: &Model, job: &Job, json: &mut Value) -> Result<String> {
-    let grid = model.grid();
-    let iso = model.convention().iso();
-    let blocks = crossed_blocks(model, grid.domain, iso, &job.budget)?;
-    let edge = model.block_edge();
-    let all: u64 = grid
-        .domain
-        .size()
-        .into_iter()
-        .map(|n| u64::from(n.div_ceil(edge)))
-        .product();
-    add(
-        json,
-        json!({"dry_run": true, "blocks": blocks, "blocks_all": all, "block_edge": edge}),
-    );
+fn dry_run(
+    args: &Args,
+    scene: &Scene,
+    model: Model,
+    job: &Job,
+    json: &mut Value,
+) -> Result<String> {
+    let (grid, edge) = (*model.grid(), model.block_edge());
+    let operations = model.operations();
+    let all = blocks_of(&model);
+    let to_volume = is_volume(args);
+    let (what, count) = if to_volume {
+        let bricks = to_bricks(args, model, |_, field, spec| {
+            bricks_to_evaluate(field, spec, &job.budget)
+        })?;
+        add(json, json!({"bricks": bricks, "bricks_all": all}));
+        ("bricks", bricks)
+    } else {
+        let iso = model.convention().iso();
+        let blocks = crossed_blocks(&model, grid.domain, iso, &job.budget)?;
+        add(
+            json,
+            json!({"blocks": blocks, "blocks_all": all, "block_edge": edge}),
+        );
+        ("blocks", blocks)
+    };
+    add(json, json!({"dry_run": true}));
     Ok(format!(
-        "{}{} operations; would evaluate up to {} of {} blocks of {edge}^3 samples ({:.3} %)\n",
+        "{}{operations} operations; would evaluate up to {} of {} {what} of {edge}^3 samples ({:.3} %)\n",
         scene.shape.outline(),
-        model.operations(),
-        thousands(blocks),
+        thousands(count),
         thousands(all),
-        100.0 * blocks as f64 / all as f64,
+        100.0 * count as f64 / all as f64,
     ))
 }
 
-fn volume(args: &Args, model: Model, job: &Job, json: &mut Value) -> Result<String> {
+/// Blocks, or bricks, of the whole lattice.
+fn blocks_of(model: &Model) -> u64 {
+    let edge = model.block_edge();
+    let size = model.grid().domain.size().into_iter();
+    size.map(|n| u64::from(n.div_ceil(edge))).product()
+}
+
+/// Calls `each` with the model as what a volume of it is written from, and how.
+fn to_bricks<T>(
+    args: &Args,
+    model: Model,
+    each: impl FnOnce(&Model, &dyn Field, &VolumeSpec) -> Result<T>,
+) -> Result<T> {
     let grid = *model.grid();
     let mut spec = VolumeSpec::new(grid, SampleType::F32);
     spec.kind = model.kind();
     let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
     spec.name = name.chars().take(60).collect();
-    let bricks: u64 = spec.bricks().into_iter().map(u64::from).product();
-    let _watch = job.watch("evaluating");
-    let voxel = grid.index_to_world.spacing()[0];
-    let iso = model.convention().iso();
-    let info: VolumeInfo;
-    let evaluated;
     if args.full {
         spec.history = format!("model {name}, every sample");
         spec.background = far_value(&model)?.into();
-        info = with_attributes(args, &model, &model, &spec, job)?;
-        evaluated = model.evaluated();
+        each(&model, &model, &spec)
     } else if model.convention() == Convention::Distance {
-        let band = f64::from((args.band * voxel) as f32);
+        let band = f64::from((args.band * grid.index_to_world.spacing()[0]) as f32);
         spec.history = format!("model {name}, distance within {} voxels", args.band);
         spec.background = band;
         let model = model.narrow(band)?;
-        info = with_attributes(args, &model, &model, &spec, job)?;
-        evaluated = model.evaluated();
+        each(&model, &model, &spec)
     } else {
         spec.history = format!("model {name}, bricks near the surface");
-        let near = NearSurface::new(&model, iso, far_value(&model)?);
+        let near = NearSurface::new(&model, model.convention().iso(), far_value(&model)?);
         spec.background = near.outside().into();
-        info = with_attributes(args, &model, &near, &spec, job)?;
-        evaluated = model.evaluated();
+        each(&model, &near, &spec)
     }
+}
+
+fn volume(args: &Args, model: Model, job: &Job, json: &mut Value) -> Result<String> {
+    let grid = *model.grid();
+    let bricks = blocks_of(&model);
+    let _watch = job.watch("evaluating");
+    let (info, evaluated) = to_bricks(args, model, |model, field, spec| {
+        let info = with_attributes(args, model, field, spec, job)?;
+        Ok((info, model.evaluated()))
+    })?;
     let share = evaluated.regions as f64 / bricks.max(1) as f64;
     add(
         json,
@@ -331,14 +355,7 @@ fn mesh(
     add_shapes(json, shapes.as_ref());
     let said = simplify::report(json, thinned.as_ref());
     let figures = figures.unwrap_or_default();
-    let edge = model.block_edge();
-    let blocks: u64 = model
-        .grid()
-        .domain
-        .size()
-        .into_iter()
-        .map(|n| u64::from(n.div_ceil(edge)))
-        .product();
+    let blocks = blocks_of(model);
     let evaluated = model.evaluated();
     add(
         json,

@@ -111,6 +111,7 @@ fn blends_of_densities_have_no_jumps() {
     for blend in [
         Blend::Sum,
         Blend::Ricci { power: 1.0 },
+        Blend::Ricci { power: 2.0 },
         Blend::Ricci { power: 3.0 },
         Blend::Ricci { power: -2.5 },
     ] {

@@ -3,6 +3,7 @@
 
 mod blends;
 mod gradients;
+mod listing;
 mod nodes;
 mod operations;
 mod ranges;

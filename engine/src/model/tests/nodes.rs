@@ -220,9 +220,9 @@ pub(super) fn nodes() -> Vec<(String, Shape)> {
             vec![blobs.clone(), blobs.clone().moved([0.3; 3])],
         ),
     );
-    for power in [3.0, -2.5] {
+    for power in [1.0, 2.0, 3.0, 7.0, 2.5, -2.5] {
         add(
-            "ricci",
+            &format!("ricci {power}"),
             Shape::Blend(
                 Blend::Ricci { power },
                 vec![blobs.clone(), blobs.clone().moved([0.3; 3])],
