@@ -422,7 +422,7 @@ pub(crate) fn pack_bits(raw: &[u8], packed: &mut [u8]) {
     for (byte, eight) in packed.iter_mut().zip(raw.as_chunks::<8>().0) {
         // Any bit of a byte to its highest one; these eight, at distances of 8, to distances of 1.
         let word = u64::from_le_bytes(*eight);
-        let flags = ((word & 0x7f7f_7f7f_7f7f_7f7f) + 0x7f7f_7f7f_7f7f_7f7f | word) >> 7;
+        let flags = (((word & 0x7f7f_7f7f_7f7f_7f7f) + 0x7f7f_7f7f_7f7f_7f7f) | word) >> 7;
         let ones = flags & 0x0101_0101_0101_0101;
         *byte = (ones.wrapping_mul(0x0102_0408_1020_4080) >> 56) as u8;
     }
@@ -522,7 +522,7 @@ mod tests {
     #[test]
     fn codec_packs_bits_of_any_bytes_but_zero() {
         let raw: Vec<u8> = (0..4096u32)
-            .map(|n| (n * n >> 5) as u8 & (n >> 3) as u8)
+            .map(|n| ((n * n) >> 5) as u8 & (n >> 3) as u8)
             .collect();
         let mut packed = vec![0; raw.len() / 8];
         pack_bits(&raw, &mut packed);
