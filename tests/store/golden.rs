@@ -225,7 +225,7 @@ fn files_from_the_future_are_refused_by_the_name_of_the_feature() {
         (0, "zstd bricks"),
         (1, "chunks of several bricks"),
         (2, "more than one channel"),
-        (5, "feature bit 5"),
+        (6, "feature bit 6"),
         (63, "feature bit 63"),
     ] {
         let error = open(with_header(16, 1 << bit), &budget)

@@ -33,7 +33,7 @@ hostile! {
     };
     brick_decoded_length_lies: DAMAGED, "size", brick(|r| r.decoded = 1 << 30);
     brick_decoded_length_1: DAMAGED, "size", brick(|r| r.decoded = 1);
-    brick_of_an_unknown_codec: DAMAGED, "unknown codec", brick(|r| r.codec = 9);
+    brick_of_an_unknown_codec: DAMAGED, "unknown codec", brick(|r| r.codec = 10);
     brick_of_codec_255: DAMAGED, "unknown codec", brick(|r| r.codec = 255);
     brick_of_a_codec_of_floats: DAMAGED, "does not fit", brick(|r| r.codec = 5);
     brick_of_another_codec_of_floats: DAMAGED, "does not fit", brick(|r| r.codec = 6);
