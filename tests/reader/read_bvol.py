@@ -251,6 +251,25 @@ def coded_plane(data, count):
     return bytes(values), data[at + 20 + 2 * count_of_words :]
 
 
+def two_values(stored, edge, dtype, is_bits):
+    """A brick of codec 9."""
+    values, rest = (b"\0\1", stored) if is_bits else (stored[: 2 * dtype.itemsize], stored[2 * dtype.itemsize :])
+    need(len(values) == 2 * dtype.itemsize, "codec 9: values")
+    plane, rest = coded_plane(rest, edge**3 // 8)
+    need(not rest, "codec 9: bytes are left over")
+    f = np.unpackbits(np.frombuffer(plane, "u1"), bitorder="little").reshape(edge, edge, edge)
+    for k in range(edge):
+        for j in range(edge):
+            if k == j == 0:
+                continue
+            b = f[k - 1, j] if k else f[0, j - 1]
+            a = f[k, j - 1] if j else b
+            c = b if k == 0 or j + 1 == edge else f[k - 1, j + 1]
+            votes = a.astype(int) + b + c + np.append(a[:1], a[:-1]) + np.append(a[1:], a[-1:])
+            f[k, j] ^= votes >= 3
+    return np.frombuffer(values, dtype)[f]
+
+
 def fitted(stored, edge, dtype, is_packed):
     """A brick of codec 7 or 8."""
     *w, offset = struct.unpack_from("<4bi", stored)
@@ -306,7 +325,7 @@ class Reader:
             need(self.record_at(12288) is not None, "header copy")
         major, _, length, incompat = struct.unpack_from("<HHIQ", header, 8)
         need(major == 1, f"format version {major}")
-        need(incompat & ~0b11000 == 0, f"unknown features {incompat:#x}")
+        need(incompat & ~0b111000 == 0, f"unknown features {incompat:#x}")
         need(length == 4096, "header length")
         return crc32c(header[40:56])
 
@@ -500,6 +519,9 @@ class Reader:
             if self.sample == "bit":
                 raw = np.unpackbits(np.frombuffer(raw, "u1"), bitorder="little").tobytes()
             return np.frombuffer(raw, self.dtype).reshape((self.edge,) * 3)
+        if codec == 9:
+            need(self.sample != "f32", "codec 9 of f32")
+            return two_values(stored, self.edge, self.dtype, self.sample == "bit")
         need(codec <= 8 and self.sample != "bit", f"codec {codec}")
         need(codec not in (5, 6) or self.sample == "f32", f"codec {codec} of other samples than f32")
         if codec > 6:

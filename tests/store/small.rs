@@ -109,6 +109,16 @@ pub(crate) fn all() -> Vec<Small> {
     let rare = |spec: &mut VolumeSpec, raw: &mut Vec<u8>| {
         noise(spec, raw, |h| if h & 7 == 0 { 1 + (h >> 8 & 1) } else { 0 });
     };
+    // A ball of one value in another.
+    let two = |spec: &mut VolumeSpec, raw: &mut Vec<u8>| {
+        let width = spec.sample.bytes();
+        spec.brick_edge = 16;
+        for sample in raw.chunks_mut(width) {
+            let inside = sample[width - 1] < 50;
+            sample.fill(if inside { 7 } else { 0x80 });
+            sample[0] &= 0x0f;
+        }
+    };
     vec![
         make("bit_mask", Bit, Kind::Mask, &six, plain),
         make("u8_density", U8, Kind::Density, &six, plain),
@@ -202,6 +212,18 @@ pub(crate) fn all() -> Vec<Small> {
         make("i16_fitted", I16, Kind::Density, &[Smooth, Ramp], even),
         make("u8_coded", U8, Kind::Density, &[Smooth, Ramp], rare),
         make("i16_coded", I16, Kind::Density, &[Smooth, Ramp], rare),
+        make("u8_two_values", U8, Kind::Density, &[Smooth; 6], two),
+        make("i16_two_values", I16, Kind::Density, &[Smooth; 6], two),
+        make("u32_two_values", U32, Kind::Label, &[Smooth; 6], two),
+        make(
+            "bit_two_values",
+            Bit,
+            Kind::Mask,
+            &[Smooth; 9],
+            |spec, _| {
+                spec.brick_edge = 32;
+            },
+        ),
         make("bit_edge_64", Bit, Kind::Mask, &[Few, Noise], |spec, _| {
             spec.brick_edge = 64;
         }),
