@@ -25,8 +25,9 @@ import time
 
 import numpy as np
 
-ROOT = pathlib.Path(__file__).resolve().parent.parent
-RELEASE = ROOT / "target/release"
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
+from peers import RELEASE, ROOT, warm  # noqa: E402
+
 TOOLS = ["zarr", "zarrs", "tensorstore", "blosc2", "hdf5"]
 BOXES = 200
 C = 64
@@ -267,7 +268,7 @@ def bench(name, env):
 
 def stores(field, args, record):
     raw, shape, dtype, _ = source_of(field, args)
-    raw.open("rb").read(1)
+    warm(raw)
     samples = int(np.prod(shape)) * np.dtype(dtype).itemsize
     bvol = args.folder / f"{field}.bvol"
     paths = {tool: args.folder / f"{field}.{tool}" for tool in TOOLS}

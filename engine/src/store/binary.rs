@@ -7,7 +7,7 @@ use super::codec::pack_bits;
 use super::rans;
 use crate::sample::SampleType;
 
-/// Types that may have this codec. For f32 nothing is gained over codec 1 where it matters.
+/// Types that may have this codec: all but f32, whose files then stay readable without it.
 pub(super) fn is_for(sample: SampleType) -> bool {
     sample != SampleType::F32
 }
